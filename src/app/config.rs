@@ -1,0 +1,1 @@
+//! The settings file: composes what each room documents for itself.

@@ -1,0 +1,1 @@
+//! One image kernel a file: a fast body, generic over the SIMD level, and its plain f64 reference.

@@ -1,0 +1,80 @@
+//! What is wanted: models anchored to markers, their materials, the light.
+//!
+//! Comes in: the scene file's tables and model files; goes out: a `Scene` that the plan and the renderer
+//! read. Nothing here knows about pictures or cameras.
+
+mod mesh;
+
+pub use mesh::{Material, Mesh};
+
+use crate::marker::Family;
+use glam::{DAffine3, DVec3, Vec3};
+
+/// Everything that is to be drawn.
+#[derive(Clone, Debug, Default)]
+pub struct Scene {
+    /// The models, anchored each to one marker.
+    pub models: Vec<Model>,
+    /// The one light.
+    pub light: Light,
+}
+
+/// A mesh on a marker.
+#[derive(Clone, Debug)]
+pub struct Model {
+    /// What it is called in messages and plans.
+    pub name: String,
+    /// The triangles.
+    pub mesh: Mesh,
+    /// The marker it stands on.
+    pub anchor: Anchor,
+    /// Mesh coordinates → marker space in mm.
+    pub to_marker: DAffine3,
+    /// How it is shaded.
+    pub shading: Shading,
+    /// Whether back faces are dropped.
+    pub cull_back: bool,
+}
+
+/// Which printed marker carries a model.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Anchor {
+    /// Family of the marker.
+    pub family: Family,
+    /// Its number.
+    pub id: u32,
+    /// Printed side of the black border's outer edge, mm.
+    pub side_mm: f64,
+}
+
+/// How intensity becomes color (contracts: `draw`).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Shading {
+    /// Intensity per vertex, interpolated.
+    Smooth,
+    /// Intensity of the face normal.
+    Flat,
+    /// Smooth intensity through a 32-entry ramp of `steps` levels from `base` to 1.
+    Toon {
+        /// Number of levels, at least 2.
+        steps: u32,
+        /// Lowest level, 0..1.
+        base: f32,
+    },
+}
+
+/// One directional light with an ambient part, in camera space.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Light {
+    /// Unit vector towards the light, camera space (x right, y down, z forward).
+    pub direction: Vec3,
+    /// Share of light that reaches every surface, 0..1.
+    pub ambient: f32,
+}
+
+impl Default for Light {
+    fn default() -> Self {
+        let towards = DVec3::new(-0.4, -0.6, -1.0);
+        Self { direction: (towards / towards.length()).as_vec3(), ambient: 0.0 }
+    }
+}
