@@ -1,1 +1,4 @@
 //! One image kernel a file: a fast body, generic over the SIMD level, and its plain f64 reference.
+
+#[cfg(test)]
+pub(crate) mod sweep;
