@@ -3,8 +3,10 @@
 //! Comes in: the scene file's tables and model files; goes out: a `Scene` that the plan and the renderer
 //! read. Nothing here knows about pictures or cameras.
 
+mod config;
 mod mesh;
 
+pub use config::{AnchorConfig, LightConfig, ModelConfig, SceneError};
 pub use mesh::{Material, Mesh};
 
 use crate::marker::Family;
@@ -41,8 +43,8 @@ pub struct Model {
 pub struct Anchor {
     /// Family of the marker.
     pub family: Family,
-    /// Its number.
-    pub id: u32,
+    /// Its number; `None` = every marker of the family.
+    pub id: Option<u32>,
     /// Printed side of the black border's outer edge, mm.
     pub side_mm: f64,
 }
