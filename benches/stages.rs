@@ -12,8 +12,7 @@ use vernissage::style::{self, StyleInput, StyleName, Styler};
 use vernissage::track::{Tracker, Wanted};
 
 fn stages(criterion: &mut Criterion) {
-    let mut camera =
-        Synthetic::new(&SyntheticConfig::default(), Size::new(640, 480), 30.0, simd::best());
+    let mut camera = Synthetic::new(&SyntheticConfig::default(), Size::new(640, 480), 30.0, simd::best());
     let lens = camera.lens();
     let mut frame = Frame::default();
     assert!(camera.next(&mut frame), "the synthetic camera is endless");

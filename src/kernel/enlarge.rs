@@ -47,7 +47,8 @@ impl Taps {
         };
         let padded = output.next_multiple_of(BLOCK);
         self.left = (0..padded).map(|o| position(o) as u32).collect();
-        self.fraction = (0..padded).map(|o| position(o) - f64::from(self.left[o])).map(|f| f as f32).collect();
+        self.fraction =
+            (0..padded).map(|o| position(o) - f64::from(self.left[o])).map(|f| f as f32).collect();
         self.base = self.left.chunks(4).map(|group| group[0]).collect();
         let span = |group: &[u32]| group[group.len() - 1] - group[0];
         self.narrow = self.left.chunks(4).all(|group| span(group) <= 2);

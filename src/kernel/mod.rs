@@ -9,6 +9,8 @@ pub mod enlarge;
 pub mod interleave;
 pub mod photometric;
 pub mod sobel;
+pub mod yuv;
+
 #[cfg(test)]
 pub(crate) mod sweep;
 

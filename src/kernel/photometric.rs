@@ -124,7 +124,8 @@ impl<'a> Strip<'a> {
             row[START..][..self.columns].copy_from_slice(&line[self.from..][..self.columns]);
             for d in 1..=4 {
                 row[START - d] = line[self.from.saturating_sub(d)];
-                row[START + self.columns - 1 + d] = line[(self.from + self.columns - 1 + d).min(size.width - 1)];
+                row[START + self.columns - 1 + d] =
+                    line[(self.from + self.columns - 1 + d).min(size.width - 1)];
             }
         }
     }
@@ -195,7 +196,10 @@ impl<'a> Strip<'a> {
                 sum.add(simd, &after_up[4 - d], at, above2, at);
             }
             let scale = S::f32s::splat(simd, 1.0) / sum.k;
-            let mean = sum.of.map(#[inline(always)] |of| of * scale);
+            let mean = sum.of.map(
+                #[inline(always)]
+                |of| of * scale,
+            );
             let done = block * lanes;
             if done + lanes <= out_y.len() {
                 mean[0].store_slice(&mut out_y[done..done + lanes]);
@@ -285,7 +289,11 @@ mod tests {
         let turned = Plane::from_fn(size, |x, y| case.plane.at(w - 1 - x, y));
         let flipped = Plane::from_fn(size, |x, y| case.plane.at(x, h - 1 - y) / 2 + 60);
         let mut yuv = Default::default();
-        color::rgb_to_yuv(Level::fallback(), &Rgb { planes: [case.plane.clone(), turned, flipped] }, &mut yuv);
+        color::rgb_to_yuv(
+            Level::fallback(),
+            &Rgb { planes: [case.plane.clone(), turned, flipped] },
+            &mut yuv,
+        );
         yuv
     }
 

@@ -101,7 +101,13 @@ pub fn gradient_row_f32(rows: [&[f32]; 3], scale: f32, gx: &mut [f32], gy: &mut 
 }
 
 /// Sobel / 4 in f64 at (`x`, `y`) of a picture given by clamped lookups.
-pub fn reference(width: usize, height: usize, x: usize, y: usize, at: impl Fn(usize, usize) -> f64) -> [f64; 2] {
+pub fn reference(
+    width: usize,
+    height: usize,
+    x: usize,
+    y: usize,
+    at: impl Fn(usize, usize) -> f64,
+) -> [f64; 2] {
     let clamped = |dx: isize, dy: isize| {
         let x = x.saturating_add_signed(dx).min(width - 1);
         at(x, y.saturating_add_signed(dy).min(height - 1))
