@@ -4,8 +4,8 @@ use super::config::{Config, Loaded};
 use super::{Failed, pool, progress};
 use crate::camera::{self, Grab, Source, trace};
 use crate::display::{self, Sink};
-use crate::frame::Frame;
-use crate::pipeline::Pipeline;
+use crate::frame::{Frame, Sighting};
+use crate::pipeline::{Drawn, Pipeline};
 use crate::pixels::{Size, simd};
 use anyhow::{Context, ensure};
 use std::path::{Path, PathBuf};
@@ -37,12 +37,19 @@ pub struct Args {
     /// Threads that compute instead of the file's
     #[arg(long, value_name = "N")]
     threads: Option<usize>,
+    /// One JSON object a frame on stdout: the markers found and how many models were drawn
+    #[arg(long)]
+    json: bool,
 }
 
 pub fn run(args: Args) -> anyhow::Result<()> {
     let Loaded { config, scene } = Loaded::read(&args.config)?;
     let camera = input(&args, &config);
     let source = Source::open(&camera)?;
+    ensure!(
+        !(args.json && args.out == Path::new("-")),
+        "--json and --out - both want stdout: write to a file"
+    );
     ensure!(
         args.trace.is_some() || !matches!(source, Source::V4l2(_)),
         "{}: its camera never ends; give --input or --trace",
@@ -113,6 +120,9 @@ fn draw_all(
             none => none.insert(open_sink(&args.out, size, source.fps())?),
         };
         sink.present(drawn.canvas).context(Failed("cannot write the drawn frame"))?;
+        if args.json {
+            println!("{}", line(frames, &drawn));
+        }
         frames += 1;
         with_model += u64::from(drawn.models > 0);
         if let Some(shown) = source.shown() {
@@ -128,6 +138,18 @@ fn draw_all(
         eprintln!("replay: {same} of {compared} shown frames identical");
     }
     Ok((compared > 0).then_some((same, compared)))
+}
+
+/// A frame's line of `--json`.
+fn line(frame: u64, drawn: &Drawn<'_>) -> serde_json::Value {
+    let marker = |s: &Sighting| {
+        serde_json::json!({
+            "family": s.family.name(), "id": s.id, "corners": s.corners.map(|c| c.to_array()),
+            "hamming": s.hamming, "posed": s.pose.is_some(),
+        })
+    };
+    let markers: Vec<_> = drawn.sightings.iter().map(marker).collect();
+    serde_json::json!({ "frame": frame, "models": drawn.models, "markers": markers })
 }
 
 /// Whether this canvas, put on the screen as the settings say, is what the trace saw there.
