@@ -2,7 +2,7 @@
 
 use super::config::{Config, Loaded};
 use super::{Failed, pool, progress};
-use crate::camera::{self, Grab, Source, trace};
+use crate::camera::{self, Grab, Source};
 use crate::display::{self, Sink};
 use crate::frame::{Frame, Sighting};
 use crate::pipeline::{Drawn, Pipeline};
@@ -75,17 +75,17 @@ fn input(args: &Args, config: &Config) -> camera::Config {
     let mut camera = config.camera.clone();
     if let Some(path) = args.input.as_ref().or(args.trace.as_ref()) {
         camera.source = if args.trace.is_some() { camera::Kind::Trace } else { camera::Kind::Clip };
-        camera.path = Some(path.clone());
+        camera.path = path.clone();
     }
     camera
 }
 
 /// Where pictures go: a name that ends in .y4m (or `-`) is a clip, any other a folder.
-fn open_sink(out: &Path, size: Size, fps: u32) -> anyhow::Result<Sink> {
+fn open_sink(out: &Path, size: Size, fps: f64) -> anyhow::Result<Sink> {
     let clip = out == Path::new("-") || out.extension().is_some_and(|e| e.eq_ignore_ascii_case("y4m"));
     let sink = if clip { display::Kind::Y4m } else { display::Kind::Png };
     Ok(Sink::open(
-        &display::Config { sink, path: Some(out.into()), fps, ..display::Config::default() },
+        &display::Config { sink, path: Some(out.into()), fps: fps.round() as u32, ..display::Config::default() },
         size,
     )?)
 }
@@ -117,7 +117,7 @@ fn draw_all(
         let drawn = pipeline.draw_frame(&frame);
         let sink = match &mut sink {
             Some(sink) => sink,
-            none => none.insert(open_sink(&args.out, size, source.fps())?),
+            none => none.insert(open_sink(&args.out, size, source.fps().unwrap_or(30.0))?),
         };
         sink.present(drawn.canvas).context(Failed("cannot write the drawn frame"))?;
         if args.json {
@@ -125,9 +125,11 @@ fn draw_all(
         }
         frames += 1;
         with_model += u64::from(drawn.models > 0);
-        if let Some(shown) = source.shown() {
+        if let Some(entry) = source.recorded() {
             compared += 1;
-            same += u64::from(equals(&shown, drawn.canvas, &config.display));
+            let [width, height] = entry.mode.map(|v| v as usize);
+            let screen = display::compose(drawn.canvas, Size::new(width, height), config.display.scale, config.display.filter);
+            same += u64::from(screen.hash() == entry.shown_hash);
         }
         bar.inc(1);
     }
@@ -150,9 +152,4 @@ fn line(frame: u64, drawn: &Drawn<'_>) -> serde_json::Value {
     };
     let markers: Vec<_> = drawn.sightings.iter().map(marker).collect();
     serde_json::json!({ "frame": frame, "models": drawn.models, "markers": markers })
-}
-
-/// Whether this canvas, put on the screen as the settings say, is what the trace saw there.
-fn equals(shown: &trace::Shown, canvas: &crate::pixels::Rgb, display: &display::Config) -> bool {
-    display::compose(canvas, shown.mode, display.scale, display.filter).hash() == shown.hash
 }

@@ -4,8 +4,8 @@
 use super::config::Loaded;
 use super::report::ms;
 use super::{Failed, pool};
-use crate::camera::{self, CameraError, Grab, Source, trace};
-use crate::display::Sink;
+use crate::camera::{self, CameraError, Grab, RawFormat, RawRef, Source, trace};
+use crate::display::{self, Sink};
 use crate::frame::Frame;
 use crate::pipeline::{Pipeline, Reader, Record, Stage, Writer, latest};
 use crate::pixels::simd;
@@ -38,7 +38,8 @@ pub struct Args {
 #[derive(Clone, Default)]
 struct Captured {
     frame: Frame,
-    raw: Option<trace::Raw>,
+    /// Kept only for a trace.
+    raw: Option<(RawFormat, Vec<u8>)>,
 }
 
 /// A picture older than this is worth a word in the log.
@@ -48,8 +49,7 @@ const REPORT_EVERY: Duration = Duration::from_secs(10);
 
 pub fn run(args: Args) -> anyhow::Result<()> {
     let Loaded { config, scene } = Loaded::read(&args.config)?;
-    let mut source = Source::open(&config.camera)?;
-    source.keep_raw(args.trace.is_some());
+    let source = Source::open(&config.camera)?;
     let size = source.size();
     let (lens, warning) = match source.lens() {
         Some(exact) => (exact, None),
@@ -72,11 +72,11 @@ pub fn run(args: Args) -> anyhow::Result<()> {
         std::thread::scope(|scope| {
             let camera = std::thread::Builder::new().name("camera".into());
             let stopped = &stop;
-            let settings = &config.camera;
+            let (settings, keep_raw) = (&config.camera, args.trace.is_some());
             camera
-                .spawn_scoped(scope, move || watch(source, settings, writer, stopped))
+                .spawn_scoped(scope, move || watch(source, settings, keep_raw, writer, stopped))
                 .context(Failed("cannot start the camera's thread"))?;
-            let shown = Show { pipeline, sink, trace, args: &args }.all(reader, &stop);
+            let shown = Show { pipeline, sink, trace, display: &config.display, args: &args }.all(reader, &stop);
             stop.store(true, Ordering::Relaxed);
             shown
         })
@@ -84,7 +84,14 @@ pub fn run(args: Args) -> anyhow::Result<()> {
 }
 
 /// The camera's thread: every picture goes to `writer`; a camera that left is opened again.
-fn watch(mut source: Source, settings: &camera::Config, mut writer: Writer<Captured>, stop: &AtomicBool) {
+fn watch(
+    mut source: Source,
+    settings: &camera::Config,
+    keep_raw: bool,
+    mut writer: Writer<Captured>,
+    stop: &AtomicBool,
+) {
+    source.keep_raw(keep_raw);
     // a pool of its own: conversions on this thread must not wake the pipeline's workers
     let Ok(alone) = rayon::ThreadPoolBuilder::new().num_threads(1).build() else {
         log::error!("camera: cannot start its worker");
@@ -96,7 +103,10 @@ fn watch(mut source: Source, settings: &camera::Config, mut writer: Writer<Captu
                 let mut buffer = writer.buffer();
                 let grabbed = source.next(&mut buffer.frame, PATIENCE);
                 if let (Ok(Grab::Frame), Some(raw)) = (&grabbed, source.raw()) {
-                    buffer.raw.get_or_insert_default().copy_from(&raw);
+                    let (format, bytes) = buffer.raw.get_or_insert_with(|| (raw.format, Vec::new()));
+                    *format = raw.format;
+                    bytes.clear();
+                    bytes.extend_from_slice(raw.bytes);
                 }
                 grabbed
             };
@@ -106,7 +116,9 @@ fn watch(mut source: Source, settings: &camera::Config, mut writer: Writer<Captu
                 Ok(Grab::Timeout) => log::warn!("camera: no picture for {PATIENCE:?}"),
                 Err(error) => {
                     log::warn!("camera: {error}; opening it again");
-                    match reopen(settings, source, stop) {
+                    // the driver frees a lost device only when every descriptor on it is closed
+                    drop(source);
+                    match reopen(settings, keep_raw, stop) {
                         Some(opened) => source = opened,
                         None => return,
                     }
@@ -117,15 +129,13 @@ fn watch(mut source: Source, settings: &camera::Config, mut writer: Writer<Captu
 }
 
 /// Opens the camera again, however long it takes; `None` when told to stop.
-fn reopen(settings: &camera::Config, lost: Source, stop: &AtomicBool) -> Option<Source> {
-    let raw = lost.keeps_raw();
-    drop(lost); // the driver frees a lost device only when every descriptor on it is closed
+fn reopen(settings: &camera::Config, keep_raw: bool, stop: &AtomicBool) -> Option<Source> {
     let mut wait = Duration::from_millis(50);
     let mut said = None;
     while !stop.load(Ordering::Relaxed) {
         match Source::open(settings) {
             Ok(mut source) => {
-                source.keep_raw(raw);
+                source.keep_raw(keep_raw);
                 log::info!("camera {source} is back");
                 return Some(source);
             }
@@ -150,6 +160,7 @@ struct Show<'a> {
     pipeline: Pipeline,
     sink: Sink,
     trace: Option<trace::Writer>,
+    display: &'a display::Config,
     args: &'a Args,
 }
 
@@ -203,14 +214,20 @@ impl Show<'_> {
             for stage in Stage::ALL.into_iter().skip(1) {
                 figures.stages[stage as usize].push(drawn.timings.of(stage));
             }
-            if let (Some(trace), Some(raw)) = (&mut self.trace, &captured.raw) {
+            if let (Some(trace), Some((format, bytes))) = (&mut self.trace, &captured.raw) {
                 let mode = self.sink.mode().unwrap_or(frame.size());
-                let hash = self.sink.scan_out_hash();
-                let hash = hash.unwrap_or_else(|| {
-                    crate::display::compose(drawn.canvas, mode, Default::default(), Default::default()).hash()
+                // what the screen shows; without one, what a screen of the picture's size would show
+                let hash = self.sink.scan_out_hash().unwrap_or_else(|| {
+                    display::compose(drawn.canvas, mode, self.display.scale, self.display.filter).hash()
                 });
-                let seen = trace::Shown { mode, hash, at: shown.at };
-                trace.write(frame, raw, &seen).context(Failed("cannot write the trace"))?;
+                let entry = trace::Entry {
+                    sequence: frame.sequence,
+                    captured_at: frame.captured_at,
+                    shown_at: shown.at,
+                    shown_hash: hash,
+                    mode: [mode.width as u32, mode.height as u32],
+                };
+                trace.push(&entry, &RawRef { format: *format, bytes }).context(Failed("cannot write the trace"))?;
             }
             if reported.elapsed() > REPORT_EVERY {
                 log::info!("{}", figures.line(start.elapsed(), reader.replaced()));
