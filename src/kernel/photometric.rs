@@ -177,8 +177,14 @@ impl<'a> Strip<'a> {
             if x + lanes + 2 > LENGTH {
                 break;
             }
-            let center = |c: usize| S::f32s::from_slice(simd, &here[c][x..x + lanes]);
-            let mut sum = Sums { k: S::f32s::splat(simd, 1.0), of: [center(0), center(1), center(2)] };
+            let mut sum = Sums {
+                k: S::f32s::splat(simd, 1.0),
+                of: [
+                    S::f32s::from_slice(simd, &here[0][x..x + lanes]),
+                    S::f32s::from_slice(simd, &here[1][x..x + lanes]),
+                    S::f32s::from_slice(simd, &here[2][x..x + lanes]),
+                ],
+            };
             for d in 1..3 {
                 sum.add(simd, &same[d - 1], x, here, x + d);
                 sum.add(simd, &same[d - 1], x - d, here, x - d);
@@ -195,7 +201,7 @@ impl<'a> Strip<'a> {
                 sum.add(simd, &after_up[4 - d], at, above2, at);
             }
             let scale = S::f32s::splat(simd, 1.0) / sum.k;
-            let mean = sum.of.map(#[inline(always)] |of| of * scale);
+            let mean = [sum.of[0] * scale, sum.of[1] * scale, sum.of[2] * scale];
             let done = block * lanes;
             if done + lanes <= out_y.len() {
                 mean[0].store_slice(&mut out_y[done..done + lanes]);
