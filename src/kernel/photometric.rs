@@ -124,8 +124,7 @@ impl<'a> Strip<'a> {
             row[START..][..self.columns].copy_from_slice(&line[self.from..][..self.columns]);
             for d in 1..=4 {
                 row[START - d] = line[self.from.saturating_sub(d)];
-                row[START + self.columns - 1 + d] =
-                    line[(self.from + self.columns - 1 + d).min(size.width - 1)];
+                row[START + self.columns - 1 + d] = line[(self.from + self.columns - 1 + d).min(size.width - 1)];
             }
         }
     }
@@ -178,8 +177,14 @@ impl<'a> Strip<'a> {
             if x + lanes + 2 > LENGTH {
                 break;
             }
-            let center = |c: usize| S::f32s::from_slice(simd, &here[c][x..x + lanes]);
-            let mut sum = Sums { k: S::f32s::splat(simd, 1.0), of: [center(0), center(1), center(2)] };
+            let mut sum = Sums {
+                k: S::f32s::splat(simd, 1.0),
+                of: [
+                    S::f32s::from_slice(simd, &here[0][x..x + lanes]),
+                    S::f32s::from_slice(simd, &here[1][x..x + lanes]),
+                    S::f32s::from_slice(simd, &here[2][x..x + lanes]),
+                ],
+            };
             for d in 1..3 {
                 sum.add(simd, &same[d - 1], x, here, x + d);
                 sum.add(simd, &same[d - 1], x - d, here, x - d);
@@ -196,10 +201,7 @@ impl<'a> Strip<'a> {
                 sum.add(simd, &after_up[4 - d], at, above2, at);
             }
             let scale = S::f32s::splat(simd, 1.0) / sum.k;
-            let mean = sum.of.map(
-                #[inline(always)]
-                |of| of * scale,
-            );
+            let mean = [sum.of[0] * scale, sum.of[1] * scale, sum.of[2] * scale];
             let done = block * lanes;
             if done + lanes <= out_y.len() {
                 mean[0].store_slice(&mut out_y[done..done + lanes]);
@@ -289,11 +291,7 @@ mod tests {
         let turned = Plane::from_fn(size, |x, y| case.plane.at(w - 1 - x, y));
         let flipped = Plane::from_fn(size, |x, y| case.plane.at(x, h - 1 - y) / 2 + 60);
         let mut yuv = Default::default();
-        color::rgb_to_yuv(
-            Level::fallback(),
-            &Rgb { planes: [case.plane.clone(), turned, flipped] },
-            &mut yuv,
-        );
+        color::rgb_to_yuv(Level::fallback(), &Rgb { planes: [case.plane.clone(), turned, flipped] }, &mut yuv);
         yuv
     }
 

@@ -38,16 +38,24 @@ impl Lines {
         line[MARGIN + row.len()] = i16::from(row[row.len() - 1]);
     }
 
+    /// Sixteen samples of row `y` from x - 1, x and x + 1.
+    #[inline(always)]
+    fn three<S: Simd>(&self, simd: S, y: usize, x: usize) -> [i16x16<S>; 3] {
+        let line = &self.samples[y % 3 * self.length + MARGIN + x - 1..][..18];
+        [
+            i16x16::from_slice(simd, &line[..16]),
+            i16x16::from_slice(simd, &line[1..17]),
+            i16x16::from_slice(simd, &line[2..]),
+        ]
+    }
+
     /// Gradients (times 4, of 0..255) of sixteen pixels from `x` (a multiple of 16) on the row between rows
     /// `top` and `top + 2`; lanes past the width hold anything.
     #[inline(always)]
     pub fn gradient<S: Simd>(&self, simd: S, top: usize, x: usize) -> [i16x16<S>; 2] {
-        let window = |y: usize| -> &[i16] { &self.samples[y % 3 * self.length + MARGIN + x - 1..][..18] };
-        let (above, here, below) = (window(top), window(top + 1), window(top + 2));
-        let load = |line: &[i16], at: usize| i16x16::from_slice(simd, &line[at..at + 16]);
-        let (a0, a1, a2) = (load(above, 0), load(above, 1), load(above, 2));
-        let (c0, c1, c2) = (load(below, 0), load(below, 1), load(below, 2));
-        let (b0, b2) = (load(here, 0), load(here, 2));
+        let [a0, a1, a2] = self.three(simd, top, x);
+        let [b0, _, b2] = self.three(simd, top + 1, x);
+        let [c0, c1, c2] = self.three(simd, top + 2, x);
         let middle = b2 - b0;
         let gx = (a2 - a0) + (middle + middle) + (c2 - c0);
         let center = c1 - a1;
