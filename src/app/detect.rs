@@ -147,11 +147,7 @@ fn load(path: &Path) -> anyhow::Result<Vec<Job>> {
     let text = std::fs::read_to_string(path)
         .with_context(|| format!("{}: cannot read the job file", path.display()))?;
     let lines = text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty());
-    lines
-        .map(|(i, line)| {
-            job(path, line).with_context(|| format!("{}:{}", path.display(), i + 1))
-        })
-        .collect()
+    lines.map(|(i, line)| job(path, line).with_context(|| format!("{}:{}", path.display(), i + 1))).collect()
 }
 
 fn job(path: &Path, line: &str) -> anyhow::Result<Job> {
@@ -193,7 +189,8 @@ fn lens(camera: &Camera, size: Size) -> anyhow::Result<Lens> {
         center: DVec2::new(camera.cx, camera.cy),
         distortion,
     };
-    let finite = lens.focal.is_finite() && lens.center.is_finite() && distortion.iter().all(|k| k.is_finite());
+    let finite =
+        lens.focal.is_finite() && lens.center.is_finite() && distortion.iter().all(|k| k.is_finite());
     ensure!(finite && lens.focal.min_element() > 0.0, "the camera needs finite numbers and fx, fy > 0");
     Ok(lens)
 }

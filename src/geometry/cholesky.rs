@@ -51,7 +51,9 @@ mod tests {
         for _ in 0..1000 {
             let m: [[f64; 5]; 5] = std::array::from_fn(|_| std::array::from_fn(|_| rng.f64() - 0.5));
             let a: [[f64; 5]; 5] = std::array::from_fn(|i| {
-                std::array::from_fn(|j| (0..5).map(|k| m[i][k] * m[j][k]).sum::<f64>() + f64::from(u8::from(i == j)))
+                std::array::from_fn(|j| {
+                    (0..5).map(|k| m[i][k] * m[j][k]).sum::<f64>() + f64::from(u8::from(i == j))
+                })
             });
             let x: [f64; 5] = std::array::from_fn(|_| rng.f64());
             let b = std::array::from_fn(|i| (0..5).map(|j| a[i][j] * x[j]).sum());

@@ -216,7 +216,8 @@ mod tests {
             .map(|row| row.iter().map(|&ink| if ink == 0 { '#' } else { '.' }).collect())
             .collect();
         // DICT_4X4_50 number 0: 1011 0101 0011 0010
-        let expected = ["........", ".######.", ".#.#..#.", ".##.#.#.", ".###..#.", ".###.##.", ".######.", "........"];
+        let expected =
+            ["........", ".######.", ".#.#..#.", ".##.#.#.", ".###..#.", ".###.##.", ".######.", "........"];
         assert_eq!(rows, expected);
         assert!(Family::Aruco4x4_50.picture(50).is_none());
     }

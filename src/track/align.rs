@@ -74,7 +74,8 @@ impl Pattern {
         let cell = |u: f64| ((u + 1.0).max(0.0) as usize).min(most);
         let first = cell(u - width);
         let last = cell(u + width).min(first + 4);
-        let mut span = Span { first, count: last - first + 1, weight: [0.0; 5], slope: [0.0; 5], by_width: [0.0; 5] };
+        let mut span =
+            Span { first, count: last - first + 1, weight: [0.0; 5], slope: [0.0; 5], by_width: [0.0; 5] };
         let (mut value, mut slope, mut by_width) = (1.0, 0.0, 0.0);
         for i in 0..span.count {
             let next = if i + 1 < span.count {

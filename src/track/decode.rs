@@ -124,7 +124,8 @@ fn attempt(view: &View<'_>, quad: &Quad, family: Family) -> Option<Option<Decode
         for (column, value) in line[..inner].iter_mut().enumerate() {
             let at = |i: usize| -1.0 + (i + family.border()) as f64 * cell + 0.5 * cell;
             let p = DVec2::new(at(column), -at(row));
-            let gray: f64 = taps.iter().map(|&(x, y)| view.gray(map.apply(p + DVec2::new(x, y) * cell))).sum();
+            let gray: f64 =
+                taps.iter().map(|&(x, y)| view.gray(map.apply(p + DVec2::new(x, y) * cell))).sum();
             *value = (gray * 0.25 - middle(p)) / (0.5 * (white.at(p) - black.at(p))).max(1.0);
         }
     }
@@ -135,7 +136,8 @@ fn attempt(view: &View<'_>, quad: &Quad, family: Family) -> Option<Option<Decode
         }
         if let Some(reading) = family.read(bits) {
             let quad = [0, 1, 2, 3].map(|i| quad[(i + reading.rotation) % 4]);
-            let turn = |level: Level| Level { mean: level.mean, slope: turned(level.slope, reading.rotation) };
+            let turn =
+                |level: Level| Level { mean: level.mean, slope: turned(level.slope, reading.rotation) };
             let (black, white) = (turn(black), turn(white));
             let margin = clarity * 0.5 * contrast;
             return Some(Some(Decoded { family, reading, margin, quad, black, white }));

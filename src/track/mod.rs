@@ -221,7 +221,8 @@ fn keep_best(sightings: &mut Vec<Sighting>) {
     let mut kept = 0;
     for i in 0..sightings.len() {
         let this = sightings[i];
-        let reach = |s: &Sighting| (s.corners[2] - s.corners[0]).length().max((s.corners[3] - s.corners[1]).length());
+        let reach =
+            |s: &Sighting| (s.corners[2] - s.corners[0]).length().max((s.corners[3] - s.corners[1]).length());
         let again = sightings[..kept].iter().any(|other| {
             let apart = (center(other) - center(&this)).length();
             other.family == this.family && other.id == this.id && apart < 0.5 * reach(other).max(reach(&this))

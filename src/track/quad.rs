@@ -31,7 +31,8 @@ pub fn fit(contour: &[Crack], area: i64, rectify: &Rectify) -> Option<Quad> {
     let (a, b) = (a.min(b), a.max(b));
     let across = |from: usize, to: usize, sign: f64| {
         let (origin, along) = (at(from), at(to) - at(from));
-        farthest(from + 1..to, |i| sign * along.perp_dot(at(i) - origin)).map(|(i, d)| (i, d / along.length()))
+        farthest(from + 1..to, |i| sign * along.perp_dot(at(i) - origin))
+            .map(|(i, d)| (i, d / along.length()))
     };
     // clockwise with y down: the outline's points lie left of each chord, where perp_dot is negative
     let (c, far_c) = across(a, b, -1.0)?;

@@ -51,7 +51,8 @@ impl Rectify {
         let grid = seen / STEP as f64;
         let (column, row) = (grid.x.max(0.0) as usize, grid.y.max(0.0) as usize);
         let at = row * self.columns + column;
-        let corner = |i: usize| self.table.get(i).map_or(DVec2::NAN, |o| DVec2::new(o[0].into(), o[1].into()));
+        let corner =
+            |i: usize| self.table.get(i).map_or(DVec2::NAN, |o| DVec2::new(o[0].into(), o[1].into()));
         let (s, t) = (grid.x - column as f64, grid.y - row as f64);
         let top = corner(at) * (1.0 - s) + corner(at + 1) * s;
         let bottom = corner(at + self.columns) * (1.0 - s) + corner(at + self.columns + 1) * s;

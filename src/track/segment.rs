@@ -67,7 +67,8 @@ impl Segment {
                 && usize::from(blob.high[1]) < bottom;
             // the border alone of the thinnest marker has more dark pixels than this
             let solid = blob.area >= w + h;
-            if self.parent[label] == label as u32 && inside && w.max(h) >= least_px && w.min(h) >= 4 && solid {
+            if self.parent[label] == label as u32 && inside && w.max(h) >= least_px && w.min(h) >= 4 && solid
+            {
                 self.kept.push(*blob);
             }
         }

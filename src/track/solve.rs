@@ -164,7 +164,8 @@ fn refine(start: Pose, corners_px: &[DVec2; 4], side_mm: f64, lens: &Lens) -> Op
 fn cayley(turn: DVec3) -> DMat3 {
     let h = turn * 0.5;
     let k = 2.0 / (1.0 + h.length_squared());
-    let skew = DMat3::from_cols(DVec3::new(0.0, h.z, -h.y), DVec3::new(-h.z, 0.0, h.x), DVec3::new(h.y, -h.x, 0.0));
+    let skew =
+        DMat3::from_cols(DVec3::new(0.0, h.z, -h.y), DVec3::new(-h.z, 0.0, h.x), DVec3::new(h.y, -h.x, 0.0));
     DMat3::IDENTITY + (skew + skew * skew) * k
 }
 

@@ -140,7 +140,14 @@ const MOST_NOISE: usize = 80;
 
 /// Least and greatest gray of the tiles in a band of tile rows.
 #[inline(always)]
-fn tiles<S: Simd>(_simd: S, luma: PlaneRef<'_, u8>, first: usize, stride: usize, low: &mut [u8], high: &mut [u8]) {
+fn tiles<S: Simd>(
+    _simd: S,
+    luma: PlaneRef<'_, u8>,
+    first: usize,
+    stride: usize,
+    low: &mut [u8],
+    high: &mut [u8],
+) {
     let Size { width, height } = luma.size();
     for (i, (low, high)) in low.chunks_exact_mut(stride).zip(high.chunks_exact_mut(stride)).enumerate() {
         let top = (first + i) * TILE;
@@ -294,7 +301,11 @@ mod tests {
             let mut stage = Threshold::default();
             let mask = stage.apply(noise.view(), 6, Level::fallback());
             let set: u32 = (0..size.height).flat_map(|y| mask.row(y)).map(|w| w.count_ones()).sum();
-            assert!(f64::from(set) < 0.02 * size.area() as f64, "σ {sigma}: {set} pixels, limit {}", stage.limit());
+            assert!(
+                f64::from(set) < 0.02 * size.area() as f64,
+                "σ {sigma}: {set} pixels, limit {}",
+                stage.limit()
+            );
         }
     }
 }
