@@ -1,5 +1,7 @@
-//! `vernissage detect`: markers in still pictures, one JSON line each, with times. The file formats are those
-//! of the README's section on detection.
+//! `vernissage detect`: markers in still pictures, one JSON line each, with times.
+//!
+//! A job line: `{"image", "family", "size", "camera": {"w","h","fx","fy","cx","cy","dist"}, "seq", "frame"}`; an
+//! output line: `{"schema":"markers/1", "image", "ms", "detections"}`, times of the search alone, pictures in memory.
 
 use super::Failed;
 use crate::geometry::Lens;
@@ -114,8 +116,8 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     }
     let pool = super::pool(args.threads)?;
     let jobs = load(&args.job)?;
-    let mut out = std::io::stdout().lock();
     pool.install(|| {
+        let mut out = std::io::stdout().lock();
         let mut tracker = Tracker::new(track::Config::default(), simd::best());
         for job in jobs.iter().cycle().take(if jobs.is_empty() { 0 } else { 3 }) {
             tracker.find(job.gray.view(), &job.lens, std::slice::from_ref(&job.wanted));
