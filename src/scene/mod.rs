@@ -3,11 +3,15 @@
 //! Comes in: the scene file's tables and model files; goes out: a `Scene` that the plan and the renderer
 //! read. Nothing here knows about pictures or cameras.
 
+mod builtin;
 mod config;
 mod mesh;
+mod obj;
 
+pub use builtin::{BUILTIN, builtin};
 pub use config::{AnchorConfig, LightConfig, ModelConfig, SceneError};
 pub use mesh::{Material, Mesh};
+pub use obj::{Limits, ModelError};
 
 use crate::marker::Family;
 use glam::{DAffine3, DVec3, Vec3};
