@@ -33,8 +33,8 @@ impl Default for Config {
             path: None,
             card: "auto".into(),
             mode: None,
-            scale: Scale::OneToOne,
-            filter: Filter::Bilinear,
+            scale: Scale::default(),
+            filter: Filter::default(),
             fps: 30,
         }
     }
@@ -55,22 +55,24 @@ pub enum Kind {
 }
 
 /// How the canvas is put on a screen of another size.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Scale {
     /// Pixel for pixel, centered, black around it; a larger canvas loses its borders.
+    #[default]
     OneToOne,
     /// As large as it goes with its proportions, centered, black around it.
     Fit,
 }
 
 /// How a scaled canvas is sampled.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Filter {
     /// The pixel whose area holds the sample point.
     Nearest,
     /// Bilinear between pixel centers, clamped at the border.
+    #[default]
     Bilinear,
 }
 

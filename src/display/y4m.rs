@@ -1,7 +1,8 @@
 //! A Y4M clip: 4:4:4, full range, BT.601, to a file or stdout.
 
 use super::{DisplayError, write_error};
-use crate::pixels::{Plane, Rgb, Size};
+use crate::kernel::yuv;
+use crate::pixels::{Plane, Rgb, Size, simd};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
@@ -45,7 +46,7 @@ impl Y4m {
             let (path, from, to) = (self.path.clone(), self.size, canvas.size());
             return Err(DisplayError::SizeChanged { path, from, to });
         }
-        convert(canvas, &mut self.yuv);
+        yuv::from_rgb(simd::best(), canvas, &mut self.yuv);
         let mut write = || {
             self.out.write_all(b"FRAME\n")?;
             self.yuv.iter().try_for_each(|plane| self.out.write_all(plane.samples()))?;
@@ -63,23 +64,5 @@ impl Y4m {
 impl std::fmt::Debug for Y4m {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         write!(f, "Y4m({} {})", self.path.display(), self.size)
-    }
-}
-
-/// RGB → full-range BT.601 Y, Cb, Cr, in 16-bit fixed point, rounded to nearest.
-fn convert(rgb: &Rgb, yuv: &mut [Plane<u8>; 3]) {
-    let [luma, cb, cr] = yuv;
-    for y in 0..rgb.size().height {
-        let [r, g, b] = [0, 1, 2].map(|c| rgb.planes[c].row(y));
-        let out = luma.row_mut(y).iter_mut().zip(cb.row_mut(y)).zip(cr.row_mut(y));
-        for (((luma, cb), cr), ((&r, &g), &b)) in out.zip(r.iter().zip(g).zip(b)) {
-            let [r, g, b] = [r, g, b].map(i32::from);
-            let fixed = |wr: i32, wg: i32, wb: i32, offset: i32| {
-                ((wr * r + wg * g + wb * b + offset) >> 16).clamp(0, 255) as u8
-            };
-            *luma = fixed(19595, 38470, 7471, 1 << 15);
-            *cb = fixed(-11058, -21710, 32768, (128 << 16) + (1 << 15));
-            *cr = fixed(32768, -27439, -5329, (128 << 16) + (1 << 15));
-        }
     }
 }

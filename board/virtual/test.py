@@ -1,0 +1,378 @@
+#!/usr/bin/env python3
+"""The virtual-board test: kernel camera in, kernel display out, on an emulated ARM board.
+
+usage: test.py [--host BINARY] [--dir DIR] [--frames N] [--skip-build] [--only loop|clock]
+
+1. loop   A clip with a moving marker, made by the program itself, is fed into the kernel's vivid driver.
+          `vernissage run` on the board takes it from /dev/video0, draws it and shows it on /dev/dri/card0. Checked:
+          frames in order, marker tracked, every shown frame's scan-out buffer identical with a replay of its trace
+          on this machine, and pictures taken from the emulated screen identical with the replay's files.
+2. clock  The board's clock counts instructions: the program's own times become million ARM instructions.
+
+Needs what install.sh installs and a release build of the program for this machine (made if missing). Everything
+is kept in DIR (default target/virtual-board): console logs, the trace, screen pictures, replayed frames.
+Prints PASS or FAIL lines; exit code 1 when anything failed.
+"""
+
+import argparse
+import json
+import os
+import re
+import shutil
+import socket
+import subprocess
+import sys
+import threading
+import time
+import zlib
+from pathlib import Path
+
+HERE = Path(__file__).resolve().parent
+ROOT = HERE.parent.parent
+WIDTH, HEIGHT = 640, 480
+
+# one seed and one path for the marker, the same on every machine
+CLIP = """
+[camera]
+source = "synthetic"
+width = 640
+height = 480
+[camera.synthetic]
+frames = {frames}
+[style]
+name = "plain"
+"""
+
+VISOR = """
+threads = 2
+[camera]
+source = "v4l2"
+device = "/dev/video0"
+width = 640
+height = 480
+[[model]]
+file = "teapot"
+[model.marker]
+{marker}
+[style]
+name = "cartoon"
+[display]
+sink = "kms"
+scale = "one-to-one"
+"""
+
+LOOP = """
+feed /host/clip.yuyv 640 480 2 > /tmp/feed.log 2>&1 &
+for i in $(seq 200); do grep -q feeding /tmp/feed.log && break; sleep .1; done
+cat /tmp/feed.log
+echo BOARD: run
+vernissage run --config /host/visor.toml --frames {frames} --json --trace /tmp/trace.bin > /host/run.json 2> /host/run.err
+echo BOARD: ran $?
+cp /tmp/trace.bin /host/trace.bin
+"""
+
+CLOCK = """
+echo BOARD: run
+vernissage demo --frames 6 --threads 1 --out /tmp/demo > /host/clock.txt 2> /host/clock.err
+echo BOARD: ran $?
+"""
+
+failures = 0
+
+
+def check(passed, what):
+    """Prints one verdict."""
+    global failures
+    failures += not passed
+    print(("PASS " if passed else "FAIL ") + what, flush=True)
+    return passed
+
+
+def note(text):
+    print("     " + text, flush=True)
+
+
+class Board:
+    """A booted board: its console lines, its monitor. Always ended by `close`."""
+
+    def __init__(self, folder, name, options=()):
+        self.folder = folder
+        self.lines = []
+        self.log = open(folder / f"{name}.log", "w")
+        self.process = subprocess.Popen(
+            ["bash", HERE / "boot.sh", folder, *options],
+            stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
+        self.reader = threading.Thread(target=self.read, daemon=True)
+        self.reader.start()
+        self.monitor = None
+
+    def read(self):
+        for line in self.process.stdout:
+            line = line.decode(errors="replace").rstrip()
+            self.log.write(line + "\n")
+            self.log.flush()
+            self.lines.append(line)
+
+    def said(self, word):
+        """The first console line that begins with `BOARD: word`, without that."""
+        start = f"BOARD: {word}"
+        return next((line[len(start):].strip() for line in self.lines if line.startswith(start)), None)
+
+    def wait_for(self, word, seconds):
+        """Whether the board says it in time."""
+        end = time.monotonic() + seconds
+        while self.said(word) is None and time.monotonic() < end and self.process.poll() is None:
+            time.sleep(0.05)
+        self.reader.join(0 if self.process.poll() is None else 5)
+        return self.said(word) is not None
+
+    def command(self, text, seconds=10):
+        """One monitor command; returns when the monitor asks for the next."""
+        if self.monitor is None:
+            self.monitor = socket.socket(socket.AF_UNIX)
+            self.monitor.settimeout(seconds)
+            self.monitor.connect(os.path.relpath(self.folder / "monitor.sock"))
+            self.prompt()
+        self.monitor.sendall(text.encode() + b"\n")
+        self.prompt()
+
+    def prompt(self):
+        heard = b""
+        while not heard.endswith(b"(qemu) "):
+            part = self.monitor.recv(4096)
+            if not part:
+                raise OSError("the monitor closed")
+            heard += part
+
+    def close(self, seconds):
+        """Waits for the board to power off, or ends it. Whether it went by itself."""
+        try:
+            self.process.wait(seconds)
+            return True
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            self.process.wait()
+            return False
+        finally:
+            self.reader.join(5)
+            self.log.close()
+
+
+def run(command, seconds, **options):
+    """Runs a command on this machine; its output, or None after telling what went wrong."""
+    try:
+        done = subprocess.run([str(part) for part in command], timeout=seconds, text=True,
+                              stdout=subprocess.PIPE, stderr=subprocess.STDOUT, **options)
+    except subprocess.TimeoutExpired:
+        note(f"{command[0]}: not done within {seconds} s")
+        return None
+    if done.returncode != 0:
+        note(f"{' '.join(map(str, command))}: exit {done.returncode}")
+        for line in done.stdout.splitlines()[-8:]:
+            note("  " + line)
+        return None
+    return done.stdout
+
+
+def y4m_to_yuyv(source, target):
+    """C444 full range -> YUYV limited range, as webcams send it; the number of frames."""
+    to_luma = bytes(int(16 + 219 * v / 255 + 0.5) for v in range(256))
+    to_chroma = bytes(int(128 + 224 * (v - 128) / 255 + 0.5) for v in range(256))
+    area = WIDTH * HEIGHT
+    count = 0
+    with open(source, "rb") as clip, open(target, "wb") as raw:
+        header = clip.readline()
+        assert b"C444" in header and f" W{WIDTH} H{HEIGHT} ".encode() in header, header
+        while clip.readline().startswith(b"FRAME"):
+            luma, blue, red = (clip.read(area) for _ in range(3))
+            frame = bytearray(2 * area)
+            frame[0::2] = luma.translate(to_luma)
+            frame[1::4] = blue[0::2].translate(to_chroma)
+            frame[3::4] = red[0::2].translate(to_chroma)
+            raw.write(frame)
+            count += 1
+    return count
+
+
+def read_ppm(path):
+    """Pixels of a binary PPM, or None while it is not whole."""
+    data = path.read_bytes()
+    head = re.match(rb"P6\s+(\d+)\s+(\d+)\s+255\s", data)
+    if not head or len(data) - head.end() != int(head[1]) * int(head[2]) * 3:
+        return None
+    return int(head[1]), int(head[2]), data[head.end():]
+
+
+def read_png(path, rows=None):
+    """Pixels of an 8-bit RGB PNG that is not interlaced; of its first rows where only some are wanted."""
+    data = path.read_bytes()
+    at, packed, width, height = 8, b"", 0, 0
+    while at < len(data):
+        length, kind = int.from_bytes(data[at:at + 4], "big"), data[at + 4:at + 8]
+        body = data[at + 8:at + 8 + length]
+        if kind == b"IHDR":
+            width, height = (int.from_bytes(body[i:i + 4], "big") for i in (0, 4))
+            assert body[8:] == b"\x08\x02\x00\x00\x00", "not an 8-bit RGB PNG"
+        packed += body if kind == b"IDAT" else b""
+        at += 12 + length
+    lines, pitch = zlib.decompress(packed), width * 3
+    above, pixels = bytearray(pitch), bytearray()
+    for y in range(rows or height):
+        start = y * (pitch + 1)
+        line = bytearray(lines[start + 1:start + 1 + pitch])
+        unfilter(lines[start], line, above)
+        pixels += line
+        above = line
+    return width, height, bytes(pixels)
+
+
+def unfilter(kind, line, above):
+    """Undoes one PNG line filter in place (PNG specification, section 9)."""
+    for i in range(len(line)):
+        left = line[i - 3] if i >= 3 else 0
+        if kind == 1:
+            line[i] = (line[i] + left) & 255
+        elif kind == 2:
+            line[i] = (line[i] + above[i]) & 255
+        elif kind == 3:
+            line[i] = (line[i] + (left + above[i]) // 2) & 255
+        elif kind == 4:
+            corner = above[i - 3] if i >= 3 else 0
+            guess = left + above[i] - corner
+            near = min((left, above[i], corner), key=lambda v: abs(guess - v))
+            line[i] = (line[i] + near) & 255
+
+
+def make_clip(host, folder, frames):
+    """The clip that the board's camera will see, drawn by the program's own synthetic camera."""
+    (folder / "clip.toml").write_text(CLIP.format(frames=frames))
+    clip = folder / "clip.y4m"
+    if run([host, "render", "--config", folder / "clip.toml", "--out", clip], 120) is None:
+        return check(False, "clip: made by the program")
+    count = y4m_to_yuyv(clip, folder / "host" / "clip.yuyv")
+    clip.unlink()
+    return check(count == frames, f"clip: {count} frames of a moving marker")
+
+
+def loop(host, folder, frames, marker):
+    """Boot 1: camera to display, and the replay."""
+    if not make_clip(host, folder, 60):
+        return
+    for name in ("trace.bin", "run.json", "run.err"):
+        (folder / "host" / name).unlink(missing_ok=True)
+    for name in ("screen", "replay"):
+        shutil.rmtree(folder / name, ignore_errors=True)
+    (folder / "screen").mkdir()
+    (folder / "host" / "visor.toml").write_text(VISOR.format(marker=marker))
+    (folder / "host" / "run.sh").write_text(LOOP.format(frames=frames))
+
+    board = Board(folder, "loop")
+    dumps = []
+    try:
+        booted = time.monotonic()
+        if not check(board.wait_for("run", 90), "board: boots and its camera is fed"):
+            return
+        note(f"{time.monotonic() - booted:.1f} s to the program's start")
+        end = time.monotonic() + 150
+        while board.said("ran") is None and time.monotonic() < end and board.process.poll() is None:
+            path = folder / "screen" / f"{len(dumps):03}.ppm"
+            board.command(f"screendump {path}")
+            dumps.append(path)
+            time.sleep(0.3)
+        finished = board.wait_for("ran", 1)
+    except OSError as error:
+        finished = check(False, f"board: monitor: {error}")
+    finally:
+        by_itself = board.close(60)
+    check(by_itself, "board: powers off by itself")
+    if not check(finished and board.said("ran") == "0", f"run: ends well (exit {board.said('ran')})"):
+        for line in (folder / "host" / "run.err").read_text().splitlines()[-10:]:
+            note(line)
+        return
+
+    figures = json.loads((folder / "host" / "run.json").read_text())
+    note(json.dumps(figures))
+    shown, tracked = figures["shown"], figures["tracked"]
+    check(shown == frames, f"run: {shown} of {frames} frames shown")
+    check(figures["out_of_order"] == 0, f"run: {figures['out_of_order']} frames out of order"
+          f" ({figures['missing']} missing in the camera's sequence, {figures['replaced']} replaced by newer ones)")
+    check(tracked >= 0.95 * frames, f"run: marker tracked in {tracked} of {frames} frames")
+
+    said = run([host, "render", "--config", folder / "host" / "visor.toml",
+                "--trace", folder / "host" / "trace.bin", "--out", folder / "replay"], 120)
+    same = re.search(r"replay: (\d+) of (\d+) shown frames identical", said or "")
+    check(bool(same) and int(same[1]) == int(same[2]) == frames,
+          f"replay: {same[0] if same else 'not done'}")
+    if said is not None:
+        compare_screen(folder, dumps)
+
+
+def compare_screen(folder, dumps):
+    """Every picture taken from the screen while frames were shown is one of the replay's, in order."""
+    files = sorted((folder / "replay").glob("*.png"))
+    # undoing PNG filters is slow here: few rows name the candidates, which are then compared whole
+    some = 12
+    starts = [read_png(path, some)[2] for path in files]
+    order = []
+    for screen in filter(None, (read_ppm(path) for path in dumps if path.exists())):
+        start = screen[2][:some * WIDTH * 3]
+        candidates = [index for index, known in enumerate(starts) if known == start]
+        order.append(next((index for index in candidates if read_png(files[index]) == screen), None))
+    # before the first frame and after the last the screen is the console's or black
+    while order and order[0] is None:
+        order.pop(0)
+    while order and order[-1] is None:
+        order.pop()
+    note(f"screen pictures show replayed frames {order}")
+    known = [index for index in order if index is not None]
+    check(len(known) >= 3 and len(known) == len(order) and known == sorted(known),
+          f"screen: {len(known)} of {len(order)} pictures taken while running are replayed frames, in order")
+
+
+def clock(folder):
+    """Boot 2: one instruction is one nanosecond, so a millisecond is a million instructions."""
+    for name in ("clock.txt", "clock.err"):
+        (folder / "host" / name).unlink(missing_ok=True)
+    (folder / "host" / "run.sh").write_text(CLOCK)
+    board = Board(folder, "clock", ["-smp", "1", "-icount", "shift=0,sleep=off"])
+    try:
+        board.wait_for("ran", 180)
+    finally:
+        board.close(20)
+    if check(board.said("ran") == "0", f"clock: measured (exit {board.said('ran')})"):
+        note("ms on the board's clock = million ARM instructions:")
+        for line in (folder / "host" / "clock.txt").read_text().splitlines():
+            note(line)
+
+
+def main():
+    arguments = argparse.ArgumentParser(description="The virtual-board test.")
+    arguments.add_argument("--host", type=Path, help="the program for this machine, target/release/vernissage")
+    arguments.add_argument("--dir", type=Path, default=ROOT / "target" / "virtual-board")
+    arguments.add_argument("--frames", type=int, default=60)
+    arguments.add_argument("--skip-build", action="store_true", help="use the board as it is in DIR")
+    arguments.add_argument("--only", choices=["loop", "clock"])
+    chosen = arguments.parse_args()
+    folder = chosen.dir.resolve()
+    (folder / "host").mkdir(parents=True, exist_ok=True)
+    began = time.monotonic()
+
+    if not chosen.skip_build:
+        built = run(["bash", HERE / "build.sh", folder], 1800)
+        if not check(built is not None, f"build: binary and board in {folder}"):
+            return 1
+    host = chosen.host or ROOT / "target" / "release" / "vernissage"
+    if chosen.host is None and run(["cargo", "build", "--release", "--quiet"], 1800, cwd=ROOT) is None:
+        return 1
+    began = time.monotonic()
+    if chosen.only != "clock":
+        loop(host.resolve(), folder, chosen.frames, 'family = "tag36h11"\nid = 0\nside_mm = 100')
+    if chosen.only != "loop":
+        clock(folder)
+    note(f"{time.monotonic() - began:.0f} s, logs and pictures in {folder}")
+    print("virtual board: " + (f"{failures} checks FAILED" if failures else "all checks passed"))
+    return 1 if failures else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
