@@ -2,6 +2,7 @@
 //!
 //! The table of time against error is `vernissage bench`; this gives confidence intervals on the same frames.
 
+use clap::ValueEnum;
 use criterion::{Criterion, criterion_group, criterion_main};
 use std::hint::black_box;
 use vernissage::camera::{Synthetic, SyntheticConfig};
@@ -22,7 +23,7 @@ fn stages(criterion: &mut Criterion) {
     criterion.bench_function("track tag36h11", |b| {
         b.iter(|| black_box(tracker.find(frame.luma.view(), &lens, &wanted).len()));
     });
-    for &name in StyleName::ALL {
+    for &name in StyleName::value_variants() {
         let mut styler = Styler::new(&style::Config { name, ..Default::default() }, simd::best());
         let mut canvas = Rgb::new(frame.size(), [0; 3]);
         criterion.bench_function(&format!("style {name}"), |b| {

@@ -2,6 +2,7 @@
 //!
 //! The counter is the process's global allocator, so this test has a binary of its own.
 
+use clap::ValueEnum;
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::sync::atomic::{AtomicU64, Ordering};
 use vernissage::camera::{Synthetic, SyntheticConfig};
@@ -53,7 +54,7 @@ fn three_hundred_frames_allocate_nothing_in_any_style() {
     let settings = SyntheticConfig { samples: 1, pace: 3.0, ..SyntheticConfig::default() };
     let pool = rayon::ThreadPoolBuilder::new().num_threads(2).build().expect("a pool");
     pool.install(|| {
-        for &name in StyleName::ALL {
+        for &name in StyleName::value_variants() {
             let style = style::Config { name, ..style::Config::default() };
             let mut camera = Synthetic::new(&settings, size, 30.0, simd::best());
             let mut pipeline =

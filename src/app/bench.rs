@@ -7,12 +7,13 @@ use crate::display::Sink;
 use crate::frame::{Frame, Needs};
 use crate::geometry::Lens;
 use crate::marker::Family;
-use crate::pipeline::{Pipeline, Stage};
+use crate::pipeline::Stage;
 use crate::pixels::{Rgb, Size, simd};
 use crate::render::{Camera, Placed, Renderer};
 use crate::scene::{Mesh, Scene};
 use crate::style::{self, StyleInput, StyleName, Styler};
 use crate::track::{Tracker, Wanted};
+use clap::ValueEnum;
 use glam::{DAffine3, DVec2, DVec3};
 use std::time::{Duration, Instant};
 
@@ -231,7 +232,7 @@ impl Bench {
 
     fn styles(&self) -> Vec<Row> {
         let mut rows = Vec::new();
-        for &name in StyleName::ALL {
+        for &name in StyleName::value_variants() {
             let config = style::Config { name, ..style::Config::default() };
             let mut styler = Styler::new(&config, simd::best());
             let mut canvas = Rgb::new(self.camera.lens().size, [0; 3]);
@@ -246,7 +247,7 @@ impl Bench {
 
     fn whole(&self) -> Vec<Row> {
         let mut rows = Vec::new();
-        for &name in StyleName::ALL {
+        for &name in StyleName::value_variants() {
             let Ok((mut pipeline, _)) = demo::stage(name, 0) else { continue };
             let mut sink = Sink::Null;
             let mut stages: [Vec<Duration>; 5] = Default::default();

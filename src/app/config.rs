@@ -210,23 +210,7 @@ fn explain(message: &str) -> String {
 
 /// The valid word with the fewest edits to `word`.
 fn nearest<'a>(word: &str, valid: &'a [String]) -> Option<&'a str> {
-    valid.iter().map(String::as_str).min_by_key(|candidate| edits(word, candidate))
-}
-
-/// Levenshtein distance.
-fn edits(a: &str, b: &str) -> usize {
-    let b: Vec<char> = b.chars().collect();
-    let mut row: Vec<usize> = (0..=b.len()).collect();
-    for (i, ca) in a.chars().enumerate() {
-        let mut diagonal = row[0];
-        row[0] = i + 1;
-        for (j, &cb) in b.iter().enumerate() {
-            let change = diagonal + usize::from(ca != cb);
-            diagonal = row[j + 1];
-            row[j + 1] = change.min(diagonal + 1).min(row[j] + 1);
-        }
-    }
-    row[b.len()]
+    valid.iter().map(String::as_str).min_by_key(|candidate| strsim::levenshtein(word, candidate))
 }
 
 #[cfg(test)]

@@ -99,7 +99,7 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     let model = Model {
         name: name.clone().into_owned(),
         mesh,
-        anchor: Anchor { family: Family::Tag36h11, id: 0, side_mm: 1.0 },
+        anchor: Anchor { family: Family::Tag36h11, id: None, side_mm: 1.0 },
         to_marker: DAffine3::IDENTITY,
         shading,
         cull_back: args.cull == Cull::Back,

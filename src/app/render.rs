@@ -85,7 +85,12 @@ fn open_sink(out: &Path, size: Size, fps: f64) -> anyhow::Result<Sink> {
     let clip = out == Path::new("-") || out.extension().is_some_and(|e| e.eq_ignore_ascii_case("y4m"));
     let sink = if clip { display::Kind::Y4m } else { display::Kind::Png };
     Ok(Sink::open(
-        &display::Config { sink, path: Some(out.into()), fps: fps.round() as u32, ..display::Config::default() },
+        &display::Config {
+            sink,
+            path: Some(out.into()),
+            fps: fps.round() as u32,
+            ..display::Config::default()
+        },
         size,
     )?)
 }
@@ -128,7 +133,12 @@ fn draw_all(
         if let Some(entry) = source.recorded() {
             compared += 1;
             let [width, height] = entry.mode.map(|v| v as usize);
-            let screen = display::compose(drawn.canvas, Size::new(width, height), config.display.scale, config.display.filter);
+            let screen = display::compose(
+                drawn.canvas,
+                Size::new(width, height),
+                config.display.scale,
+                config.display.filter,
+            );
             same += u64::from(screen.hash() == entry.shown_hash);
         }
         bar.inc(1);

@@ -76,7 +76,8 @@ pub fn run(args: Args) -> anyhow::Result<()> {
             camera
                 .spawn_scoped(scope, move || watch(source, settings, keep_raw, writer, stopped))
                 .context(Failed("cannot start the camera's thread"))?;
-            let shown = Show { pipeline, sink, trace, display: &config.display, args: &args }.all(reader, &stop);
+            let shown =
+                Show { pipeline, sink, trace, display: &config.display, args: &args }.all(reader, &stop);
             stop.store(true, Ordering::Relaxed);
             shown
         })
@@ -226,10 +227,14 @@ impl Show<'_> {
                     shown_at: shown.at,
                     shown_hash: hash,
                     mode: [mode.width as u32, mode.height as u32],
+                    ..trace::Entry::default()
                 };
-                trace.push(&entry, &RawRef { format: *format, bytes }).context(Failed("cannot write the trace"))?;
+                trace
+                    .push(&entry, &RawRef { format: *format, bytes })
+                    .context(Failed("cannot write the trace"))?;
             }
             if reported.elapsed() > REPORT_EVERY {
+                drop(captured);
                 log::info!("{}", figures.line(start.elapsed(), reader.replaced()));
                 reported = Instant::now();
             }

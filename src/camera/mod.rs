@@ -11,6 +11,7 @@ pub mod negotiate;
 mod raw;
 #[cfg(target_os = "linux")]
 mod streaming;
+mod synthetic;
 pub mod trace;
 #[cfg(target_os = "linux")]
 mod v4l2;
@@ -19,15 +20,17 @@ mod y4m;
 pub use clip::Clip;
 pub use grab::Stats;
 pub use raw::{Decoder, LARGEST, MOST_BYTES, PixelFormat, RawFormat, RawRef, decode};
+pub use synthetic::{Config as SyntheticConfig, Synthetic};
 pub use trace::Trace;
 #[cfg(target_os = "linux")]
 pub use v4l2::{Candidate, V4l2, now, probe};
 
 use crate::frame::Frame;
-use crate::pixels::{Size, picture::PictureError};
+use crate::geometry::Lens;
+use crate::pixels::{Size, picture::PictureError, simd};
 use negotiate::Wish;
 use serde::{Deserialize, Serialize};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 /// Which source frames come from.
@@ -106,6 +109,8 @@ pub struct Config {
     pub format: FormatChoice,
     /// Buffers shared with the driver, 2..32: more survive longer pauses, none add latency.
     pub buffers: u32,
+    /// The drawn table, for `source = "synthetic"`.
+    pub synthetic: SyntheticConfig,
 }
 
 impl Default for Config {
@@ -119,6 +124,7 @@ impl Default for Config {
             fps: 30.0,
             format: FormatChoice::Auto,
             buffers: 4,
+            synthetic: SyntheticConfig::default(),
         }
     }
 }
@@ -127,6 +133,13 @@ impl Config {
     /// Reads clips or pictures from `path`.
     pub fn clip(path: impl Into<PathBuf>) -> Self {
         Self { source: Kind::Clip, path: path.into(), ..Self::default() }
+    }
+
+    /// Takes a relative `path` as relative to `folder`; `-` stays stdin.
+    pub fn resolve(&mut self, folder: &Path) {
+        if self.path != Path::new("-") && !self.path.as_os_str().is_empty() {
+            self.path = folder.join(&self.path);
+        }
     }
 
     /// What a camera is asked for.
@@ -235,7 +248,8 @@ pub enum Source {
     Clip(Box<Clip>),
     /// A recorded trace: every frame, as fast as asked.
     Trace(Box<Trace>),
-    // Synthetic(Box<Synthetic>): `synthetic.rs` joins here and in the matches below
+    /// The drawn table: every frame, as fast as asked.
+    Synthetic(Box<Synthetic>),
 }
 
 impl Source {
@@ -248,7 +262,10 @@ impl Source {
             Kind::V4l2 => Err(CameraError::Unavailable("v4l2", "it needs Linux")),
             Kind::Clip => Ok(Source::Clip(Box::new(Clip::open(&config.path, config.wish().fps)?))),
             Kind::Trace => Ok(Source::Trace(Box::new(Trace::open(&config.path)?))),
-            Kind::Synthetic => Err(CameraError::Unavailable("synthetic", "open it through its own room")),
+            Kind::Synthetic => {
+                let Wish { size, fps, .. } = config.wish();
+                Ok(Source::Synthetic(Box::new(Synthetic::new(&config.synthetic, size, fps, simd::best()))))
+            }
         }
     }
 
@@ -259,6 +276,7 @@ impl Source {
             Source::V4l2(camera) => camera.format().size,
             Source::Clip(clip) => clip.size(),
             Source::Trace(trace) => trace.size(),
+            Source::Synthetic(table) => table.lens().size,
         }
     }
 
@@ -269,6 +287,31 @@ impl Source {
             Source::V4l2(camera) => camera.fps(),
             Source::Clip(clip) => Some(clip.fps()),
             Source::Trace(_) => None,
+            Source::Synthetic(table) => Some(table.fps()),
+        }
+    }
+
+    /// How many frames there are in all, where known.
+    pub fn frames(&self) -> Option<u64> {
+        match self {
+            Source::Synthetic(table) => table.frames(),
+            _ => None,
+        }
+    }
+
+    /// The lens, where the source knows it exactly.
+    pub fn lens(&self) -> Option<Lens> {
+        match self {
+            Source::Synthetic(table) => Some(table.lens()),
+            _ => None,
+        }
+    }
+
+    /// What a trace recorded of the frame last given.
+    pub fn recorded(&self) -> Option<&trace::Entry> {
+        match self {
+            Source::Trace(trace) => trace.entry(),
+            _ => None,
         }
     }
 
@@ -280,6 +323,7 @@ impl Source {
             Source::V4l2(camera) => camera.next(frame, timeout),
             Source::Clip(clip) => clip.next(frame),
             Source::Trace(trace) => trace.next(frame),
+            Source::Synthetic(table) => Ok(if table.next(frame) { Grab::Frame } else { Grab::End }),
         }
     }
 
@@ -289,7 +333,7 @@ impl Source {
             #[cfg(target_os = "linux")]
             Source::V4l2(camera) => camera.keep_raw(keep),
             Source::Clip(clip) => clip.keep_raw(keep),
-            Source::Trace(_) => {}
+            Source::Trace(_) | Source::Synthetic(_) => {}
         }
     }
 
@@ -300,6 +344,7 @@ impl Source {
             Source::V4l2(camera) => camera.raw(),
             Source::Clip(clip) => clip.raw(),
             Source::Trace(trace) => trace.raw(),
+            Source::Synthetic(_) => None,
         }
     }
 
@@ -310,6 +355,23 @@ impl Source {
             Source::V4l2(camera) => camera.stats(),
             Source::Clip(clip) => clip.stats(),
             Source::Trace(trace) => trace.stats(),
+            Source::Synthetic(table) => table.stats(),
+        }
+    }
+}
+
+impl std::fmt::Display for Source {
+    /// For log lines.
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            #[cfg(target_os = "linux")]
+            Source::V4l2(camera) => {
+                let format = camera.format();
+                write!(f, "{} ({}) {} {}", camera.device(), camera.card(), format.format.name(), format.size)
+            }
+            Source::Clip(clip) => write!(f, "clip {}", clip.size()),
+            Source::Trace(trace) => write!(f, "trace {}", trace.size()),
+            Source::Synthetic(table) => write!(f, "synthetic {}", table.lens().size),
         }
     }
 }

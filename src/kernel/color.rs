@@ -59,7 +59,11 @@ pub fn rgb_of([y, u, v]: [f32; 3]) -> [f32; 3] {
 
 /// The same conversion in f64, one color of bytes.
 pub fn reference([r, g, b]: [u8; 3]) -> [f64; 3] {
-    let [r, g, b] = [r, g, b].map(|value| f64::from(value) / 255.0);
+    yuv_reference([r, g, b].map(|value| f64::from(value) / 255.0))
+}
+
+/// RGB 0..1 to analogue YUV in f64.
+pub fn yuv_reference([r, g, b]: [f64; 3]) -> [f64; 3] {
     let y = 0.299 * r + 0.587 * g + 0.114 * b;
     [y, 0.436 / 0.886 * (b - y), 0.615 / 0.701 * (r - y)]
 }

@@ -124,7 +124,8 @@ impl<'a> Strip<'a> {
             row[START..][..self.columns].copy_from_slice(&line[self.from..][..self.columns]);
             for d in 1..=4 {
                 row[START - d] = line[self.from.saturating_sub(d)];
-                row[START + self.columns - 1 + d] = line[(self.from + self.columns - 1 + d).min(size.width - 1)];
+                row[START + self.columns - 1 + d] =
+                    line[(self.from + self.columns - 1 + d).min(size.width - 1)];
             }
         }
     }
@@ -291,7 +292,11 @@ mod tests {
         let turned = Plane::from_fn(size, |x, y| case.plane.at(w - 1 - x, y));
         let flipped = Plane::from_fn(size, |x, y| case.plane.at(x, h - 1 - y) / 2 + 60);
         let mut yuv = Default::default();
-        color::rgb_to_yuv(Level::fallback(), &Rgb { planes: [case.plane.clone(), turned, flipped] }, &mut yuv);
+        color::rgb_to_yuv(
+            Level::fallback(),
+            &Rgb { planes: [case.plane.clone(), turned, flipped] },
+            &mut yuv,
+        );
         yuv
     }
 

@@ -101,7 +101,8 @@ impl Pipeline {
             &[]
         };
         place(&self.scene, sightings, &mut self.placed);
-        let plan = self.plan(View::Models(self.placed.len()));
+        let view = View::Models(self.placed.len());
+        let plan = Plan::new(&self.scene, self.styler.needs(), self.styler.filters(), view);
         let layer = plan.render.runs.then(|| {
             timings.measure(Stage::Render, || {
                 self.renderer.draw(&self.scene, &self.placed, &self.camera, plan.needs)

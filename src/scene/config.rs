@@ -219,9 +219,9 @@ impl ModelConfig {
         };
         let mut fit = DAffine3::from_mat3(stand);
         if self.fit {
-            let corners = mesh.positions.iter().map(|p| stand * p.as_dvec3()).filter(|p| p.is_finite());
-            let (low, high) =
-                corners.fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(l, h), p| (l.min(p), h.max(p)));
+            let (low, high) = mesh.bounds().unwrap_or_default();
+            let corners = [low, high].map(|p| stand * p.as_dvec3());
+            let (low, high) = (corners[0].min(corners[1]), corners[0].max(corners[1]));
             let extent = (high - low).truncate().max_element();
             if extent.is_finite() && extent > 0.0 {
                 let base = DVec3::new((low.x + high.x) / 2.0, (low.y + high.y) / 2.0, low.z);

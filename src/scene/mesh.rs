@@ -33,55 +33,24 @@ pub struct Material {
     pub texture: Option<Arc<Rgb>>,
 }
 
-impl Material {
-    /// A plain color, sRGB values 0..1.
-    pub fn plain(color: Vec3) -> Self {
-        Self { name: String::new(), color, texture: None }
-    }
-
-    /// A texture as it is.
-    pub fn textured(texture: Arc<Rgb>) -> Self {
-        Self { name: String::new(), color: Vec3::ONE, texture: Some(texture) }
-    }
-}
-
 impl Mesh {
-    /// A rectangle of `width` x `height` around the origin in the plane z = 0, facing +z: x to the right of
-    /// its picture, y up, the texture once across it.
-    pub fn quad(width: f32, height: f32, material: Material) -> Self {
-        let mut mesh = Mesh { materials: vec![material], ..Mesh::default() };
-        let (x, y) = (width / 2.0, height / 2.0);
-        mesh.push_face([[-x, -y, 0.0], [x, -y, 0.0], [x, y, 0.0], [-x, y, 0.0]].map(Vec3::from), Vec3::Z);
-        mesh
+    /// Gives every material this color.
+    pub fn set_color(&mut self, color: Vec3) {
+        self.materials_mut().iter_mut().for_each(|m| m.color = color);
     }
 
-    /// A closed box of this extent around the origin, the texture once across every face.
-    pub fn cuboid(extent: Vec3, material: Material) -> Self {
-        let mut mesh = Mesh { materials: vec![material], ..Mesh::default() };
-        for axis in 0..3 {
-            for side in [1.0, -1.0] {
-                let mut normal = [0.0; 3];
-                normal[axis] = side;
-                let normal = Vec3::from(normal);
-                // a right-handed frame right × up = normal
-                let right = Vec3::from([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]][axis]) * side;
-                let up = normal.cross(right);
-                let corner = |r: f32, u: f32| (normal + right * r + up * u) * extent / 2.0;
-                let corners = [corner(-1.0, -1.0), corner(1.0, -1.0), corner(1.0, 1.0), corner(-1.0, 1.0)];
-                mesh.push_face(corners, normal);
-            }
+    /// Gives every material this texture.
+    pub fn set_texture(&mut self, texture: Arc<Rgb>) {
+        self.materials_mut().iter_mut().for_each(|m| m.texture = Some(texture.clone()));
+    }
+
+    /// The materials; a mesh without any gets one, white, for all triangles.
+    fn materials_mut(&mut self) -> &mut [Material] {
+        if self.materials.is_empty() {
+            self.materials.push(Material { color: Vec3::ONE, ..Material::default() });
+            self.material_of = vec![0; self.triangles.len()];
         }
-        mesh
-    }
-
-    /// Adds a four-cornered face (bottom left first, counter-clockwise) with material 0.
-    fn push_face(&mut self, corners: [Vec3; 4], normal: Vec3) {
-        let first = self.positions.len() as u32;
-        self.positions.extend(corners);
-        self.normals.extend([normal; 4]);
-        self.texcoords.extend([Vec2::ZERO, Vec2::X, Vec2::ONE, Vec2::Y]);
-        self.triangles.extend([[first, first + 1, first + 2], [first, first + 2, first + 3]]);
-        self.material_of.extend([0, 0]);
+        &mut self.materials
     }
 
     /// Smallest box, lowest and highest corner, around all finite positions that triangles use; `None` when
@@ -121,16 +90,18 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_box_faces_outward_on_all_sides() {
-        let mesh = Mesh::cuboid(Vec3::new(2.0, 4.0, 6.0), Material::default());
-        assert_eq!(mesh.bounds(), Some((Vec3::new(-1.0, -2.0, -3.0), Vec3::new(1.0, 2.0, 3.0))));
-        assert_eq!(mesh.triangles.len(), 12);
-        for triangle in &mesh.triangles {
-            let [a, b, c] = triangle.map(|i| mesh.positions[i as usize]);
-            let outward = (b - a).cross(c - a);
-            assert!(outward.dot(mesh.normals[triangle[0] as usize]) > 0.0);
-            assert!(outward.dot(a) > 0.0);
-        }
+    fn bounds_hold_what_is_drawn() {
+        let positions = vec![Vec3::NEG_X, Vec3::ONE, Vec3::new(0.0, 2.0, -3.0), Vec3::MAX];
+        let mesh = Mesh { positions, triangles: vec![[0, 1, 2]], ..Mesh::default() };
+        assert_eq!(mesh.bounds(), Some((Vec3::new(-1.0, 0.0, -3.0), Vec3::new(1.0, 2.0, 1.0))));
         assert_eq!(Mesh::default().bounds(), None);
+    }
+
+    #[test]
+    fn painting_reaches_meshes_without_materials() {
+        let mut mesh =
+            Mesh { positions: vec![Vec3::ZERO; 3], triangles: vec![[0, 1, 2]; 2], ..Mesh::default() };
+        mesh.set_color(Vec3::X);
+        assert_eq!((mesh.materials.len(), mesh.materials[0].color, mesh.material_of.len()), (1, Vec3::X, 2));
     }
 }

@@ -115,7 +115,8 @@ where
     let kind = |reason: String| ConfigError::Kind { style, key: key.into(), value: value.into(), reason };
     let mut table = toml::Table::try_from(settings).map_err(|e| kind(e.to_string()))?;
     if !table.contains_key(key) {
-        let nearest = table.keys().min_by_key(|known| distance(known, key)).cloned().unwrap_or_default();
+        let nearest =
+            table.keys().min_by_key(|known| strsim::levenshtein(known, key)).cloned().unwrap_or_default();
         let all = table.keys().cloned().collect::<Vec<_>>().join(" ");
         return Err(ConfigError::UnknownKey { style, key: key.into(), nearest, all });
     }
@@ -136,21 +137,6 @@ fn parsed(value: &str) -> toml::Value {
     }
 }
 
-/// Levenshtein distance.
-fn distance(a: &str, b: &str) -> usize {
-    let b: Vec<char> = b.chars().collect();
-    let mut row: Vec<usize> = (0..=b.len()).collect();
-    for (i, ca) in a.chars().enumerate() {
-        let mut diagonal = std::mem::replace(&mut row[0], i + 1);
-        for (j, &cb) in b.iter().enumerate() {
-            let change = diagonal + usize::from(ca != cb);
-            diagonal = row[j + 1];
-            row[j + 1] = change.min(row[j] + 1).min(diagonal + 1);
-        }
-    }
-    row[b.len()]
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -162,8 +148,9 @@ mod tests {
         config.set("steps", "3").expect("an integer");
         config.set("alpha", "1").expect("an integer is a number");
         assert_eq!((config.cartoon.sigma_p, config.cartoon.steps, config.cartoon.alpha), (0.05, 3, 1.0));
-        let file: Config = toml::from_str("name = 'cartoon'\n[cartoon]\nsigma_p = 0.05\nsteps = 3\nalpha = 1")
-            .expect("the same in a file");
+        let file: Config =
+            toml::from_str("name = 'cartoon'\n[cartoon]\nsigma_p = 0.05\nsteps = 3\nalpha = 1")
+                .expect("the same in a file");
         assert_eq!(file, config);
     }
 
@@ -172,7 +159,9 @@ mod tests {
         let mut config = Config::default();
         let error = config.set("sigmap", "1").expect_err("no such key").to_string();
         assert!(error.contains("\"sigma_p\""), "{error}");
-        for (key, value) in [("steps", "many"), ("steps", "-1"), ("alpha", "1.5"), ("sigma_p", "0"), ("s0", "nan")] {
+        for (key, value) in
+            [("steps", "many"), ("steps", "-1"), ("alpha", "1.5"), ("sigma_p", "0"), ("s0", "nan")]
+        {
             let error = Config::default().set(key, value).expect_err(value).to_string();
             assert!(error.contains(key), "{error}");
         }

@@ -34,6 +34,14 @@ pub trait Style {
     fn draw(&mut self, input: StyleInput<'_>, out: &mut Rgb);
 }
 
+/// The style that `config` names in plain f64, over an augmented picture: slow, for tests and benchmarks.
+pub fn reference(config: &Config, augmented: &Rgb) -> Rgb {
+    match config.name {
+        StyleName::Plain => augmented.clone(),
+        StyleName::Cartoon => cartoon::reference(&config.cartoon, augmented),
+    }
+}
+
 /// One of the styles, ready to draw.
 pub enum Styler {
     /// Conventional augmented reality.
@@ -66,6 +74,11 @@ impl Styler {
             Styler::Plain(_) => plain::Plain::NEEDS,
             Styler::Cartoon(_) => cartoon::Cartoon::NEEDS,
         }
+    }
+
+    /// Whether it changes the camera picture itself.
+    pub fn filters(&self) -> bool {
+        !matches!(self, Styler::Plain(_))
     }
 
     /// Draws one frame; `out` is fitted to the frame's size.

@@ -7,8 +7,10 @@
 
 mod table;
 
+use super::Stats;
 use crate::frame::{Frame, Needs};
 use crate::geometry::{Lens, Pose};
+use crate::kernel::yuv;
 use crate::marker::Family;
 use crate::pixels::simd::Level;
 use crate::pixels::{Plane, Size, SplitMix64, hash_noise};
@@ -16,12 +18,12 @@ use crate::render::{Camera, Placed, Renderer};
 use crate::scene::Scene;
 use glam::{DAffine3, DMat3, DVec2, DVec3};
 use rayon::prelude::*;
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 use std::f64::consts::TAU;
 use std::time::Duration;
 
 /// The `[camera.synthetic]` table.
-#[derive(Clone, Debug, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Config {
     /// Seed of path, texture and noise.
@@ -74,6 +76,7 @@ pub struct Synthetic {
     renderer: Renderer,
     placed: Vec<Placed>,
     blur: Blur,
+    level: Level,
 }
 
 impl Synthetic {
@@ -102,12 +105,23 @@ impl Synthetic {
             fps: if fps.is_finite() && fps > 0.0 { fps } else { 30.0 },
             sequence: 0,
             config,
+            level,
         }
     }
 
     /// The lens the pictures are taken with: exact.
     pub fn lens(&self) -> Lens {
         self.lens
+    }
+
+    /// Frames a second of the clip's clock.
+    pub fn fps(&self) -> f64 {
+        self.fps
+    }
+
+    /// What became of the frames so far: all are delivered.
+    pub(super) fn stats(&self) -> Stats {
+        Stats { received: self.sequence, delivered: self.sequence, ..Stats::default() }
     }
 
     /// Frames until the end; `None` when endless.
@@ -172,16 +186,7 @@ impl Synthetic {
             self.blur.apply(to);
             add_noise(to, self.config.noise, self.config.seed + channel as u64, sequence);
         }
-        let [r, g, b] = &frame.color.planes;
-        frame.luma.view_mut().par_bands(64).for_each(|(first, mut band)| {
-            for y in 0..band.size().height {
-                let rgb = r.row(first + y).iter().zip(g.row(first + y)).zip(b.row(first + y));
-                for (luma, ((&r, &g), &b)) in band.row_mut(y).iter_mut().zip(rgb) {
-                    let sum = 9798 * u32::from(r) + 19235 * u32::from(g) + 3735 * u32::from(b);
-                    *luma = ((sum + 16384) >> 15) as u8;
-                }
-            }
-        });
+        yuv::luma_of_rgb(self.level, &frame.color, &mut frame.luma);
         frame.sequence = sequence;
         frame.captured_at = Duration::from_secs_f64(sequence as f64 / self.fps);
     }

@@ -24,7 +24,11 @@ pub fn lay(config: &Config) -> Scene {
     // the sheet has two cells of white around the border's outer edge
     let sheet = side * (cells + 4.0) / cells;
     let mut models = vec![
-        model("wall", quad(Vec3::new(0.0, 900.0, 300.0), Vec3::X * 1500.0, Vec3::Z * 700.0), flat([0.70, 0.72, 0.68])),
+        model(
+            "wall",
+            quad(Vec3::new(0.0, 900.0, 300.0), Vec3::X * 1500.0, Vec3::Z * 700.0),
+            flat([0.70, 0.72, 0.68]),
+        ),
         model("table", quad(Vec3::Z * -1.0, Vec3::X * 700.0, Vec3::Y * 700.0), textured(wood(config.seed))),
         model(
             "sheet",
@@ -34,10 +38,18 @@ pub fn lay(config: &Config) -> Scene {
     ];
     let objects = [
         ("book", cuboid(Vec3::new(-150.0, 75.0, 14.0), Vec3::new(52.0, 75.0, 15.0), 0.3), [0.62, 0.16, 0.14]),
-        ("booklet", cuboid(Vec3::new(-146.0, 70.0, 36.0), Vec3::new(40.0, 58.0, 7.0), 0.12), [0.18, 0.33, 0.52]),
+        (
+            "booklet",
+            cuboid(Vec3::new(-146.0, 70.0, 36.0), Vec3::new(40.0, 58.0, 7.0), 0.12),
+            [0.18, 0.33, 0.52],
+        ),
         ("mug", cylinder(Vec3::new(140.0, 90.0, -1.0), 38.0, 90.0), [0.88, 0.86, 0.80]),
         ("orange", ball(Vec3::new(150.0, -55.0, 33.0), 34.0), [0.93, 0.52, 0.10]),
-        ("eraser", cuboid(Vec3::new(-125.0, -85.0, 7.0), Vec3::new(26.0, 11.0, 8.0), -0.5), [0.24, 0.55, 0.34]),
+        (
+            "eraser",
+            cuboid(Vec3::new(-125.0, -85.0, 7.0), Vec3::new(26.0, 11.0, 8.0), -0.5),
+            [0.24, 0.55, 0.34],
+        ),
     ];
     models.extend(objects.into_iter().map(|(name, mesh, color)| model(name, mesh, flat(color))));
     Scene { models, light: Light { ambient: 0.35, ..Light::default() } }

@@ -200,7 +200,9 @@ fn draw_band<S: Simd, const TAP: bool>(
                     largest = largest.max(simd.abs_i16x16(gx) + simd.abs_i16x16(gy));
                     gradients[c] = [gx, gy];
                 }
-                if TAP || simd.any_true_mask16x16(simd.simd_gt_i16x16(largest, i16x16::splat(simd, edges.quiet))) {
+                if TAP
+                    || simd.any_true_mask16x16(simd.simd_gt_i16x16(largest, i16x16::splat(simd, edges.quiet)))
+                {
                     let response = response_a(simd, gradients, edges.weights);
                     for half in 0..2 {
                         let strength = smoothstep(simd, response[half], edges.a0, edges.a_scale);
@@ -214,7 +216,8 @@ fn draw_band<S: Simd, const TAP: bool>(
             let count = BLOCK.min(size.width - x);
             for (c, row) in [&mut *red, &mut *green, &mut *blue].into_iter().enumerate() {
                 let narrow = &scratch.narrow[c * stride..][..stride];
-                let mut color = [eights[0].expand(simd, columns, narrow), eights[1].expand(simd, columns, narrow)];
+                let mut color =
+                    [eights[0].expand(simd, columns, narrow), eights[1].expand(simd, columns, narrow)];
                 if inked {
                     for half in 0..2 {
                         color[half] = color[half] * (f32x8::splat(simd, 1.0) - ink[half]);

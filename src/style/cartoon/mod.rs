@@ -1,5 +1,5 @@
 //! The cartoon style (Fischer & Bartz 2005, "Real-time Cartoon-like Stylization of AR Video Streams on the GPU";
-//! Fischer 2008, section 3.3): one filter over the whole augmented picture.
+//! Fischer 2006, section 3.3): one filter over the whole augmented picture.
 //!
 //! 1. The camera picture with the models over it shrinks by exact area average ([`area`]).
 //! 2. Seven photometric steps on YUV flatten its colors ([`photometric`]): the simplified picture S.
@@ -11,6 +11,9 @@
 
 mod finish;
 mod grid;
+mod reference;
+
+pub use reference::reference;
 
 use super::{ConfigError, Style, StyleInput, StyleName, composite};
 use crate::frame::Needs;
@@ -76,9 +79,8 @@ impl Config {
             true => Ok(()),
             false => Err(ConfigError::Range { style: StyleName::Cartoon, key, value, expected }),
         };
-        let unit = |key, value: f32| {
-            check(key, value.into(), (0.0..=1.0).contains(&value), "a number from 0 to 1")
-        };
+        let unit =
+            |key, value: f32| check(key, value.into(), (0.0..=1.0).contains(&value), "a number from 0 to 1");
         let side = |key, value: u32| {
             check(key, value.into(), value <= 65_535, "0 (derived from the frame) to 65535 pixels")
         };
