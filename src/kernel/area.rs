@@ -199,7 +199,8 @@ fn row<S: Simd, A: Sum>(
 pub fn reference(input: PlaneRef<'_, u8>, output: Size, x: usize, y: usize) -> f64 {
     let spans = |n: usize, out: usize, o: usize| {
         let (from, to) = (o as f64 * n as f64 / out as f64, (o + 1) as f64 * n as f64 / out as f64);
-        (from as usize..(to.ceil() as usize).min(n)).map(move |i| (i, to.min(i as f64 + 1.0) - from.max(i as f64)))
+        (from as usize..(to.ceil() as usize).min(n))
+            .map(move |i| (i, to.min(i as f64 + 1.0) - from.max(i as f64)))
     };
     let mut sum = 0.0;
     let mut area = 0.0;
@@ -251,7 +252,8 @@ mod tests {
         let plane = Plane::from_fn(Size::new(8, 1), |x, _| x as u8);
         let mut out = Plane::new(Size::new(3, 1), 0.0);
         Shrink::default().run(Level::baseline(), plane.view(), &mut out);
-        let by_hand = [(0.0 + 1.0 + 2.0 * 2.0 / 3.0) / (8.0 / 3.0), (2.0 / 3.0 + 3.0 + 4.0 + 5.0 / 3.0) / (8.0 / 3.0)];
+        let by_hand =
+            [(0.0 + 1.0 + 2.0 * 2.0 / 3.0) / (8.0 / 3.0), (2.0 / 3.0 + 3.0 + 4.0 + 5.0 / 3.0) / (8.0 / 3.0)];
         assert!((out.at(0, 0) * 255.0 - by_hand[0]).abs() < 1e-5);
         assert!((out.at(1, 0) * 255.0 - by_hand[1]).abs() < 1e-5);
     }

@@ -5,6 +5,7 @@
 //! sample x+1 of the grown row. Rows blend first (few samples), then each row expands: four outputs in a row read
 //! at most four neighboring samples where out >= 1.5·in, so one load and two in-register shuffles serve them;
 //! other ratios gather one by one, with the same arithmetic.
+#![allow(clippy::needless_range_loop)] // lanes and channels index several arrays in step
 
 use crate::pixels::simd::Level;
 use crate::pixels::{Plane, PlaneRef, Size};
@@ -47,7 +48,8 @@ impl Taps {
         };
         let padded = output.next_multiple_of(BLOCK);
         self.left = (0..padded).map(|o| position(o) as u32).collect();
-        self.fraction = (0..padded).map(|o| position(o) - f64::from(self.left[o])).map(|f| f as f32).collect();
+        self.fraction =
+            (0..padded).map(|o| position(o) - f64::from(self.left[o])).map(|f| f as f32).collect();
         self.base = self.left.chunks(4).map(|group| group[0]).collect();
         let span = |group: &[u32]| group[group.len() - 1] - group[0];
         self.narrow = self.left.chunks(4).all(|group| span(group) <= 2);

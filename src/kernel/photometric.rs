@@ -12,6 +12,7 @@
 //!    the compiler and the working set (29 KB) stays in the first cache.
 //!
 //! Every pixel sums its taps in one fixed order; neither bands nor strips nor the SIMD level touch it.
+#![allow(clippy::needless_range_loop)] // offsets and channels index several arrays in step
 
 use crate::pixels::Plane;
 use crate::pixels::simd::Level;
@@ -124,7 +125,8 @@ impl<'a> Strip<'a> {
             row[START..][..self.columns].copy_from_slice(&line[self.from..][..self.columns]);
             for d in 1..=4 {
                 row[START - d] = line[self.from.saturating_sub(d)];
-                row[START + self.columns - 1 + d] = line[(self.from + self.columns - 1 + d).min(size.width - 1)];
+                row[START + self.columns - 1 + d] =
+                    line[(self.from + self.columns - 1 + d).min(size.width - 1)];
             }
         }
     }
@@ -228,9 +230,9 @@ impl<S: Simd> Sums<S> {
     fn add(&mut self, simd: S, weights: &Row, x: usize, values: &[Row; 3], at: usize) {
         let lanes = S::f32s::LEN;
         let weight = S::f32s::from_slice(simd, &weights[x..x + lanes]);
-        self.k = self.k + weight;
+        self.k += weight;
         for c in 0..3 {
-            self.of[c] = self.of[c] + S::f32s::from_slice(simd, &values[c][at..at + lanes]) * weight;
+            self.of[c] += S::f32s::from_slice(simd, &values[c][at..at + lanes]) * weight;
         }
     }
 }
@@ -291,7 +293,11 @@ mod tests {
         let turned = Plane::from_fn(size, |x, y| case.plane.at(w - 1 - x, y));
         let flipped = Plane::from_fn(size, |x, y| case.plane.at(x, h - 1 - y) / 2 + 60);
         let mut yuv = Default::default();
-        color::rgb_to_yuv(Level::fallback(), &Rgb { planes: [case.plane.clone(), turned, flipped] }, &mut yuv);
+        color::rgb_to_yuv(
+            Level::fallback(),
+            &Rgb { planes: [case.plane.clone(), turned, flipped] },
+            &mut yuv,
+        );
         yuv
     }
 

@@ -3,6 +3,7 @@
 //! Two forms. On 8-bit pictures gradients are exact in 16-bit integers (four times the gradient of 0..255), sixteen
 //! pixels at a time; being linear, the gradients of Y, U, V follow from those of R, G, B. On f32 planes there is a
 //! plain row form.
+#![allow(clippy::needless_range_loop)] // lanes and channels index several arrays in step
 
 use crate::pixels::simd::Level;
 use crate::pixels::{Plane, PlaneRef};
@@ -109,7 +110,13 @@ pub fn gradient_row_f32(rows: [&[f32]; 3], scale: f32, gx: &mut [f32], gy: &mut 
 }
 
 /// Sobel / 4 in f64 at (`x`, `y`) of a picture given by clamped lookups.
-pub fn reference(width: usize, height: usize, x: usize, y: usize, at: impl Fn(usize, usize) -> f64) -> [f64; 2] {
+pub fn reference(
+    width: usize,
+    height: usize,
+    x: usize,
+    y: usize,
+    at: impl Fn(usize, usize) -> f64,
+) -> [f64; 2] {
     let clamped = |dx: isize, dy: isize| {
         let x = x.saturating_add_signed(dx).min(width - 1);
         at(x, y.saturating_add_signed(dy).min(height - 1))

@@ -162,8 +162,9 @@ mod tests {
         config.set("steps", "3").expect("an integer");
         config.set("alpha", "1").expect("an integer is a number");
         assert_eq!((config.cartoon.sigma_p, config.cartoon.steps, config.cartoon.alpha), (0.05, 3, 1.0));
-        let file: Config = toml::from_str("name = 'cartoon'\n[cartoon]\nsigma_p = 0.05\nsteps = 3\nalpha = 1")
-            .expect("the same in a file");
+        let file: Config =
+            toml::from_str("name = 'cartoon'\n[cartoon]\nsigma_p = 0.05\nsteps = 3\nalpha = 1")
+                .expect("the same in a file");
         assert_eq!(file, config);
     }
 
@@ -172,7 +173,9 @@ mod tests {
         let mut config = Config::default();
         let error = config.set("sigmap", "1").expect_err("no such key").to_string();
         assert!(error.contains("\"sigma_p\""), "{error}");
-        for (key, value) in [("steps", "many"), ("steps", "-1"), ("alpha", "1.5"), ("sigma_p", "0"), ("s0", "nan")] {
+        for (key, value) in
+            [("steps", "many"), ("steps", "-1"), ("alpha", "1.5"), ("sigma_p", "0"), ("s0", "nan")]
+        {
             let error = Config::default().set(key, value).expect_err(value).to_string();
             assert!(error.contains(key), "{error}");
         }

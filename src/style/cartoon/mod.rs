@@ -76,9 +76,8 @@ impl Config {
             true => Ok(()),
             false => Err(ConfigError::Range { style: StyleName::Cartoon, key, value, expected }),
         };
-        let unit = |key, value: f32| {
-            check(key, value.into(), (0.0..=1.0).contains(&value), "a number from 0 to 1")
-        };
+        let unit =
+            |key, value: f32| check(key, value.into(), (0.0..=1.0).contains(&value), "a number from 0 to 1");
         let side = |key, value: u32| {
             check(key, value.into(), value <= 65_535, "0 (derived from the frame) to 65535 pixels")
         };
