@@ -1,9 +1,296 @@
-//! `vernissage stylize`.
+//! `vernissage stylize`: pictures through a style, without a camera or models; also the styles' stopwatch.
 
-/// Not written yet.
+use super::Failed;
+use crate::frame::Frame;
+use crate::kernel::interleave;
+use crate::pixels::{Plane, Rgb, Size, picture, simd};
+use crate::style::{self, StyleInput, StyleName, Styler};
+use anyhow::{Context, bail, ensure};
+use indicatif::{ProgressBar, ProgressStyle};
+use std::collections::HashSet;
+use std::io::{BufWriter, IsTerminal};
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+/// Frames drawn before the stopwatch starts.
+const WARM_UP: u32 = 3;
+
+/// Draw pictures in a style
+///
+/// Reads PNG, JPEG and PGM/PPM pictures, or folders of them in name order, and writes PNG. One picture goes to
+/// the file that --out names; several go to the folder that --out names, each under its own name.
 #[derive(clap::Args, Default)]
-pub struct Args {}
+#[command(after_help = "Examples:
+  vernissage stylize --style cartoon photo.jpg --out cartoon.png
+  vernissage stylize --style cartoon --set steps=9 --set beta=.5 photo.jpg --out bold.png
+  vernissage stylize --style cartoon holiday/ --out holiday-cartoon/
+  vernissage stylize --style cartoon photo.jpg --repeat 100 --json      time it
 
-pub fn run(_args: Args) -> anyhow::Result<()> {
-    anyhow::bail!("stylize is not built yet")
+Settings of cartoon (--set): shrunk_width, shrunk_height (0: from the frame), sigma_p, steps, alpha, beta,
+s0, s1, a0, a1. The result is the same for any number of threads and on any processor.")]
+pub struct Args {
+    /// Pictures, or folders of pictures.
+    #[arg(required = true, value_name = "INPUT")]
+    inputs: Vec<PathBuf>,
+    /// The style.
+    #[arg(long, value_enum, value_name = "S")]
+    style: StyleName,
+    /// Changes one setting of the style; may be given several times.
+    #[arg(long, value_name = "key=value")]
+    set: Vec<String>,
+    /// Threads in use, 1 to 64.
+    #[arg(long, default_value_t = 2, value_name = "N")]
+    threads: usize,
+    /// Where the result goes: a PNG file for one input, a folder for several.
+    #[arg(long, value_name = "FILE|DIR", required_unless_present_any = ["repeat", "stages"])]
+    out: Option<PathBuf>,
+    /// Also writes the style's intermediate planes there as NAME.npy (f32, rows x columns [x channels]); with
+    /// several inputs each gets a folder of its name. cartoon: small S eS eA I.
+    #[arg(long, value_name = "DIR")]
+    stages: Option<PathBuf>,
+    /// Draws every input this often, from scratch each time, and prints the times: interleaved RGB bytes in
+    /// memory to interleaved RGB bytes in memory, after three warm-up frames.
+    #[arg(long, value_name = "K")]
+    repeat: Option<u32>,
+    /// Prints the times as one JSON object an input: {"image", "style", "threads", "ms": [...]}.
+    #[arg(long, requires = "repeat")]
+    json: bool,
+}
+
+pub fn run(args: Args) -> anyhow::Result<()> {
+    let mut config = style::Config { name: args.style, ..Default::default() };
+    for setting in &args.set {
+        let Some((key, value)) = setting.split_once('=') else {
+            bail!("--set {setting}: write it as key=value");
+        };
+        config.set(key.trim(), value.trim()).with_context(|| format!("--set {setting}"))?;
+    }
+    let pictures = expand(&args.inputs)?;
+    let outputs = outputs(&args, &pictures)?;
+    let pool = super::pool(args.threads)?;
+    let quiet = pictures.len() < 2 || args.json || !std::io::stderr().is_terminal();
+    let progress = if quiet { ProgressBar::hidden() } else { ProgressBar::new(pictures.len() as u64) };
+    if let Ok(look) = ProgressStyle::with_template("{wide_bar} {pos}/{len} {eta}") {
+        progress.set_style(look);
+    }
+    let mut job = Job::new(&config);
+    for (path, output) in pictures.iter().zip(outputs) {
+        let input = picture::read(path)?;
+        let size = input.size();
+        ensure!(size.area() > 0, "{}: the picture is empty", path.display());
+        pool.install(|| job.load(&input));
+        if let Some(repeat) = args.repeat {
+            let times = pool.install(|| job.time(repeat));
+            report(&args, path, &times)?;
+        }
+        if let Some(folder) = &output.stages {
+            pool.install(|| job.write_stages(folder))?;
+        }
+        if let Some(file) = &output.picture {
+            let drawn = pool.install(|| job.draw());
+            picture::write_png(file, drawn).context(Failed("cannot write the result"))?;
+        }
+        progress.inc(1);
+    }
+    progress.finish_and_clear();
+    Ok(())
+}
+
+/// The pictures behind the inputs: folders are replaced by the pictures in them, in name order.
+fn expand(inputs: &[PathBuf]) -> anyhow::Result<Vec<PathBuf>> {
+    let mut pictures = Vec::new();
+    for input in inputs {
+        if input.as_os_str() == "-" || has_extension(input, &["y4m"]) {
+            bail!(
+                "{}: stylize reads pictures, not clips; use `vernissage render` for clips",
+                input.display()
+            );
+        }
+        if !input.is_dir() {
+            pictures.push(input.clone());
+            continue;
+        }
+        let unreadable = || format!("{}: cannot read folder", input.display());
+        let mut found = Vec::new();
+        for entry in std::fs::read_dir(input).with_context(unreadable)? {
+            let path = entry.with_context(unreadable)?.path();
+            if has_extension(&path, &["png", "jpg", "jpeg", "pgm", "ppm", "pnm"]) && path.is_file() {
+                found.push(path);
+            }
+        }
+        ensure!(!found.is_empty(), "{}: no PNG, JPEG or PGM/PPM pictures in this folder", input.display());
+        found.sort();
+        pictures.extend(found);
+    }
+    Ok(pictures)
+}
+
+fn has_extension(path: &Path, extensions: &[&str]) -> bool {
+    path.extension().and_then(|e| e.to_str()).is_some_and(|e| extensions.contains(&e.to_lowercase().as_str()))
+}
+
+/// Where one input's results go.
+struct Output {
+    picture: Option<PathBuf>,
+    stages: Option<PathBuf>,
+}
+
+/// Names every result and makes the folders; two inputs of one name would overwrite each other and are refused.
+fn outputs(args: &Args, pictures: &[PathBuf]) -> anyhow::Result<Vec<Output>> {
+    let many = pictures.len() > 1 || args.inputs.iter().any(|input| input.is_dir());
+    let into_folder = args.out.as_ref().is_some_and(|out| many || out.is_dir());
+    let make = |folder: &Path| {
+        std::fs::create_dir_all(folder)
+            .with_context(|| format!("{}: cannot make folder", folder.display()))
+            .context(Failed("cannot write the result"))
+    };
+    if into_folder && let Some(out) = &args.out {
+        make(out)?;
+    }
+    let mut names = HashSet::new();
+    let mut outputs = Vec::new();
+    for picture in pictures {
+        let stem = picture.file_stem().unwrap_or_default();
+        let taken = !names.insert(stem.to_owned());
+        ensure!(
+            !taken || !(into_folder || (many && args.stages.is_some())),
+            "{}: another input has the same name, so one result would overwrite the other; rename one",
+            picture.display()
+        );
+        let file = args.out.as_ref().map(|out| match into_folder {
+            true => out.join(stem).with_added_extension("png"),
+            false => out.clone(),
+        });
+        let stages = args.stages.as_ref().map(|folder| if many { folder.join(stem) } else { folder.clone() });
+        if let Some(folder) = &stages {
+            make(folder)?;
+        }
+        outputs.push(Output { picture: file, stages });
+    }
+    Ok(outputs)
+}
+
+/// Prints one input's times.
+fn report(args: &Args, path: &Path, times: &[f64]) -> anyhow::Result<()> {
+    if args.json {
+        let rounded: Vec<f64> = times.iter().map(|ms| (ms * 1e4).round() / 1e4).collect();
+        println!(
+            "{}",
+            serde_json::json!({
+                "image": path.to_string_lossy(),
+                "style": args.style.name(),
+                "threads": args.threads,
+                "ms": rounded,
+            })
+        );
+    } else {
+        let mut sorted = times.to_vec();
+        sorted.sort_by(f64::total_cmp);
+        let (least, middle) = (sorted.first().copied(), sorted.get(sorted.len() / 2).copied());
+        let (least, middle) = (least.unwrap_or(0.0), middle.unwrap_or(0.0));
+        println!("{}: {least:.2} ms at best, {middle:.2} ms in the middle", path.display());
+    }
+    Ok(())
+}
+
+/// One style and the buffers of one picture on its way through it.
+struct Job {
+    config: style::Config,
+    level: simd::Level,
+    styler: Styler,
+    size: Size,
+    input: Vec<u8>,
+    output: Vec<u8>,
+    frame: Frame,
+    canvas: Rgb,
+}
+
+impl Job {
+    fn new(config: &style::Config) -> Self {
+        let level = simd::best();
+        Self {
+            config: config.clone(),
+            level,
+            styler: Styler::new(config, level),
+            size: Size::new(0, 0),
+            input: Vec::new(),
+            output: Vec::new(),
+            frame: Frame::default(),
+            canvas: Rgb::default(),
+        }
+    }
+
+    /// Takes a picture as interleaved bytes, as a decoder would leave it.
+    fn load(&mut self, picture: &Rgb) {
+        self.size = picture.size();
+        self.input.resize(3 * self.size.area(), 0);
+        self.output.resize(3 * self.size.area(), 0);
+        interleave::join(self.level, picture, &mut self.input);
+    }
+
+    /// One frame: interleaved bytes in, interleaved bytes out.
+    fn frame(&mut self) {
+        self.draw();
+        interleave::join(self.level, &self.canvas, &mut self.output);
+    }
+
+    fn draw(&mut self) -> &Rgb {
+        self.frame.resize(self.size);
+        interleave::split(self.level, &self.input, self.size, &mut self.frame.color);
+        self.styler.draw(StyleInput { frame: &self.frame, layer: None }, &mut self.canvas);
+        &self.canvas
+    }
+
+    /// Milliseconds of each of `repeat` frames, after the warm-up.
+    fn time(&mut self, repeat: u32) -> Vec<f64> {
+        (0..WARM_UP).for_each(|_| self.frame());
+        let mut times = Vec::with_capacity(repeat as usize);
+        for _ in 0..repeat {
+            let start = Instant::now();
+            self.frame();
+            times.push(start.elapsed().as_secs_f64() * 1e3);
+        }
+        times
+    }
+
+    fn write_stages(&mut self, folder: &Path) -> anyhow::Result<()> {
+        self.draw();
+        let mut style = match self.config.name {
+            StyleName::Plain => bail!("style plain has no stages"),
+            StyleName::Cartoon => style::cartoon::Cartoon::new(self.config.cartoon, self.level),
+        };
+        let stages = style.stages(StyleInput { frame: &self.frame, layer: None }, &mut self.canvas);
+        let planes: [(&str, &[Plane<f32>]); 5] = [
+            ("small", &stages.small),
+            ("S", &stages.simplified),
+            ("eS", std::slice::from_ref(&stages.edge_s)),
+            ("eA", std::slice::from_ref(&stages.edge_a)),
+            ("I", std::slice::from_ref(&stages.lines)),
+        ];
+        for (name, planes) in planes {
+            let file = folder.join(name).with_added_extension("npy");
+            write_npy(&file, planes)
+                .with_context(|| format!("{}: cannot write stage", file.display()))
+                .context(Failed("cannot write the stages"))?;
+        }
+        Ok(())
+    }
+}
+
+/// Writes planes of one size as rows x columns, or rows x columns x channels where there are several.
+fn write_npy(path: &Path, planes: &[Plane<f32>]) -> std::io::Result<()> {
+    use npyz::WriterBuilder;
+    let size = planes.first().map_or(Size::new(0, 0), Plane::size);
+    let mut shape = vec![size.height as u64, size.width as u64];
+    if planes.len() > 1 {
+        shape.push(planes.len() as u64);
+    }
+    let file = BufWriter::new(std::fs::File::create(path)?);
+    let mut writer = npyz::WriteOptions::new().default_dtype().shape(&shape).writer(file).begin_nd()?;
+    for y in 0..size.height {
+        for x in 0..size.width {
+            writer.extend(planes.iter().map(|plane| plane.at(x, y)))?;
+        }
+    }
+    writer.finish()
 }

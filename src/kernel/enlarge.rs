@@ -5,6 +5,7 @@
 //! sample x+1 of the grown row. Rows blend first (few samples), then each row expands: four outputs in a row read
 //! at most four neighboring samples where out >= 1.5·in, so one load and two in-register shuffles serve them;
 //! other ratios gather one by one, with the same arithmetic.
+#![allow(clippy::needless_range_loop)] // lanes and channels index several arrays in step
 
 use crate::pixels::simd::Level;
 use crate::pixels::{Plane, PlaneRef, Size};

@@ -12,6 +12,7 @@
 //!    the compiler and the working set (29 KB) stays in the first cache.
 //!
 //! Every pixel sums its taps in one fixed order; neither bands nor strips nor the SIMD level touch it.
+#![allow(clippy::needless_range_loop)] // offsets and channels index several arrays in step
 
 use crate::pixels::Plane;
 use crate::pixels::simd::Level;
@@ -229,9 +230,9 @@ impl<S: Simd> Sums<S> {
     fn add(&mut self, simd: S, weights: &Row, x: usize, values: &[Row; 3], at: usize) {
         let lanes = S::f32s::LEN;
         let weight = S::f32s::from_slice(simd, &weights[x..x + lanes]);
-        self.k = self.k + weight;
+        self.k += weight;
         for c in 0..3 {
-            self.of[c] = self.of[c] + S::f32s::from_slice(simd, &values[c][at..at + lanes]) * weight;
+            self.of[c] += S::f32s::from_slice(simd, &values[c][at..at + lanes]) * weight;
         }
     }
 }

@@ -3,6 +3,7 @@
 //! Two forms. On 8-bit pictures gradients are exact in 16-bit integers (four times the gradient of 0..255), sixteen
 //! pixels at a time; being linear, the gradients of Y, U, V follow from those of R, G, B. On f32 planes there is a
 //! plain row form.
+#![allow(clippy::needless_range_loop)] // lanes and channels index several arrays in step
 
 use crate::pixels::simd::Level;
 use crate::pixels::{Plane, PlaneRef};

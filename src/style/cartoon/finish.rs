@@ -7,6 +7,7 @@
 //!   below `s0` has smoothstep 0;
 //! - every channel's gradient is at most the largest |gx| + |gy| of R, G, B, in exact 16-bit integers, times
 //!   [`Edges::reach`], so a block below `a0` by that measure has smoothstep 0.
+#![allow(clippy::needless_range_loop)] // lanes and channels index several arrays in step
 
 use super::grid::Grid;
 use super::{Config, Stages};
@@ -206,7 +207,7 @@ fn draw_band<S: Simd, const TAP: bool>(
                     let response = response_a(simd, gradients, edges.weights);
                     for half in 0..2 {
                         let strength = smoothstep(simd, response[half], edges.a0, edges.a_scale);
-                        ink[half] = ink[half] + strength * edges.beta;
+                        ink[half] += strength * edges.beta;
                         seen[1][half] = response[half];
                     }
                     inked = true;
@@ -266,7 +267,7 @@ fn response_s<S: Simd>(simd: S, eight: &Eight<S>, columns: &Taps, narrow: &[f32]
     for c in 0..3 {
         let gx = eight.expand(simd, columns, &narrow[(3 + 2 * c) * stride..][..stride]);
         let gy = eight.expand(simd, columns, &narrow[(4 + 2 * c) * stride..][..stride]);
-        response = response + (gx * gx + gy * gy).sqrt();
+        response += (gx * gx + gy * gy).sqrt();
     }
     response
 }
@@ -290,12 +291,12 @@ fn response_a<S: Simd>(simd: S, gradients: [[i16x16<S>; 2]; 3], weights: [f32; 3
             let [r, g, b] = [direction[0][half], direction[1][half], direction[2][half]];
             let luma = r * color::LUMA[0] + g * color::LUMA[1] + b * color::LUMA[2];
             let (u, v) = (b - luma, r - luma);
-            squares[0] = squares[0] + luma * luma;
-            squares[1] = squares[1] + u * u;
-            squares[2] = squares[2] + v * v;
+            squares[0] += luma * luma;
+            squares[1] += u * u;
+            squares[2] += v * v;
         }
         for c in 0..3 {
-            response[half] = response[half] + squares[c].sqrt() * weights[c];
+            response[half] += squares[c].sqrt() * weights[c];
         }
     }
     response

@@ -4,6 +4,7 @@
 //! linear, that is the enlarged Sobel of the grid, where the grid is grown by one pixel on every side (its samples
 //! clamped). So nine planes are kept a grown row at a time: R, G, B in 0..255, and gx, gy of Y, U, V, each already
 //! times its weight in eq. 4, so that the response is the plain sum of three magnitudes.
+#![allow(clippy::needless_range_loop)] // lanes and channels index several arrays in step
 
 use crate::kernel::{color, enlarge, sobel};
 use crate::pixels::simd::Level;
