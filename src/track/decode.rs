@@ -10,7 +10,7 @@ use super::rectify;
 use crate::geometry::{Homography, Lens};
 use crate::marker::{Family, Reading};
 use crate::pixels::PlaneRef;
-use glam::{DMat3, DVec2};
+use glam::DVec2;
 
 /// A picture seen through its lens.
 #[derive(Clone, Copy)]
@@ -204,11 +204,4 @@ fn harden(soft: &[[f64; MOST_BITS]; MOST_BITS], inner: usize, sharpen: f64) -> (
         }
     }
     (bits, clarity / (inner * inner) as f64)
-}
-
-/// The matrix of a homography and of its inverse, for those who need both ways.
-pub fn both_ways(quad: &Quad) -> Option<(Homography, DMat3)> {
-    let map = Homography::from_square(*quad)?;
-    let inverse = map.0.inverse();
-    inverse.is_finite().then_some((map, inverse))
 }
