@@ -2,6 +2,7 @@
 //! the lens, with blur and noise; recall, corners and poses are held to what was drawn.
 
 use glam::{DMat3, DVec2, DVec3};
+use std::f64::consts::TAU;
 use vernissage::frame::Sighting;
 use vernissage::geometry::{Homography, Lens, Pose};
 use vernissage::marker::Family;
@@ -41,7 +42,7 @@ fn pose_at(lens: &Lens, center: DVec2, side_px: f64, spin: f64, tilt: f64, tilt_
     let z = lens.focal.x * SIDE_MM / side_px;
     let ray = lens.undistort(center).expect("inside the picture");
     let facing = DMat3::from_cols(DVec3::X, -DVec3::Y, -DVec3::Z);
-    let about = DVec3::new(tilt_about.cos(), tilt_about.sin(), 0.0);
+    let about = DVec3::new(libm::cos(tilt_about), libm::sin(tilt_about), 0.0);
     Pose {
         rotation: rotation(about, tilt) * facing * rotation(DVec3::Z, spin),
         translation: ray.extend(1.0) * z,
@@ -122,7 +123,7 @@ fn blur(frame: &mut [f64], width: usize, sigma: f64) {
         return;
     }
     let radius = (4.0 * sigma).ceil() as isize;
-    let weight = |k: isize| (-0.5 * (k as f64 / sigma) * (k as f64 / sigma)).exp();
+    let weight = |k: isize| libm::exp(-0.5 * (k as f64 / sigma) * (k as f64 / sigma));
     let total: f64 = (-radius..=radius).map(weight).sum();
     let height = frame.len() / width;
     for (across, down) in [(1, 0), (0, 1)] {
@@ -221,11 +222,11 @@ fn trial(frames: u64, look: Look, sides: (f64, f64), tilts_deg: (f64, f64)) -> O
         let prints: Vec<Print> = (0..3)
             .map(|third| {
                 let family = Family::ALL[((seed + third) % 4) as usize];
-                let side = sides.0 * (sides.1 / sides.0).powf(between(0.0, 1.0));
+                let side = sides.0 * libm::pow(sides.1 / sides.0, between(0.0, 1.0));
                 let center =
                     DVec2::new(107.0 + 213.0 * third as f64 + between(-5.0, 5.0), between(110.0, 370.0));
                 let tilt = between(tilts_deg.0, tilts_deg.1).to_radians();
-                let pose = pose_at(&lens, center, side, between(0.0, 6.28), tilt, between(0.0, 6.28));
+                let pose = pose_at(&lens, center, side, between(0.0, TAU), tilt, between(0.0, TAU));
                 let id = (between(0.0, 1.0) * family.codes().len() as f64) as u32;
                 Print { family, id, pose }
             })
@@ -406,8 +407,7 @@ fn exact_corners_give_the_pose() {
         let lens = lens(case % 2 == 0);
         let center = DVec2::new(between(100.0, 540.0), between(100.0, 380.0));
         let tilt = between(0.0, 85f64.to_radians());
-        let truth =
-            pose_at(&lens, center, between(20.0, 150.0), between(0.0, 6.28), tilt, between(0.0, 6.28));
+        let truth = pose_at(&lens, center, between(20.0, 150.0), between(0.0, TAU), tilt, between(0.0, TAU));
         let px = corners(&lens, &truth);
         let area = 0.5 * (px[2] - px[0]).perp_dot(px[3] - px[1]);
         if area < 30.0 {

@@ -4,6 +4,7 @@
 /// not safely positive definite (a pivot below 1e-14 of its diagonal) or something is not finite.
 ///
 /// Cholesky factorization, Golub & Van Loan, Matrix Computations, algorithm 4.2.1.
+#[expect(clippy::needless_range_loop, reason = "the textbook's indices")]
 pub fn solve_spd<const N: usize>(mut a: [[f64; N]; N], mut b: [f64; N]) -> Option<[f64; N]> {
     for j in 0..N {
         let mut pivot = a[j][j];

@@ -13,7 +13,7 @@ use crate::geometry::{Homography, solve_spd};
 use glam::{DMat3, DVec2, DVec3};
 
 /// Most pixels a marker's alignment looks at: bounds the work on large markers.
-const MOST_SAMPLES: usize = 640;
+const MOST_SAMPLES: usize = 900;
 /// Gauss-Newton steps.
 const STEPS: usize = 4;
 /// Half-width of the kernel in deviations: the variance of (15/16)(1-z²)² is 1/7.
@@ -118,20 +118,9 @@ impl Pattern {
     }
 }
 
-/// A marker laid onto the picture.
-#[derive(Clone, Copy, Debug)]
-pub struct Aligned {
-    /// Corners in ideal pixels, the family's order.
-    pub quad: Quad,
-    /// Blur of the picture there, px (deviation; the pixel's own extent included).
-    pub sigma_px: f64,
-    /// Root mean square gray residual.
-    pub residual: f64,
-}
-
-/// Lays the decoded pattern onto the picture. `None` when the fit does not hold: the steps do not converge,
+/// The corners, in ideal pixels and the family's order, of the decoded pattern laid onto the picture. `None` when the fit does not hold: the steps do not converge,
 /// or lead away from the quad that was read.
-pub fn align(view: &View<'_>, found: &Decoded) -> Option<Aligned> {
+pub fn align(view: &View<'_>, found: &Decoded) -> Option<Quad> {
     let pattern = Pattern::new(found)?;
     let center = (found.quad[0] + found.quad[1] + found.quad[2] + found.quad[3]) * 0.25;
     let scale = quad::area(&found.quad).sqrt().max(1.0);
@@ -152,10 +141,9 @@ pub fn align(view: &View<'_>, found: &Decoded) -> Option<Aligned> {
     let mut levels = [black.mean, black.slope.x, black.slope.y, contrast, step.x, step.y];
     // residuals beyond this are someone's finger or a glint
     let mut reach = 0.35 * contrast;
-    let mut residual = f64::INFINITY;
     for turn in 0..STEPS {
         let (a, b, squares, weights) = normal(samples, &pattern, map, libm::exp(log_width), &levels, reach)?;
-        residual = (squares / weights).sqrt();
+        let residual = (squares / weights).sqrt();
         let step = solve_spd(damped(a), b)?;
         map.x_axis += DVec3::new(step[0], step[3], step[6]);
         map.y_axis += DVec3::new(step[1], step[4], step[7]);
@@ -177,8 +165,7 @@ pub fn align(view: &View<'_>, found: &Decoded) -> Option<Aligned> {
     let quad = [corner(-1.0, 1.0), corner(1.0, 1.0), corner(1.0, -1.0), corner(-1.0, -1.0)];
     let cell = scale / pattern.cells as f64;
     let near = quad.iter().zip(&found.quad).all(|(p, q)| (*p - *q).length() <= (0.6 * cell).max(1.5));
-    let sigma_px = libm::exp(log_width) * scale / WIDTH_PER_SIGMA;
-    (near && quad::is_convex(&quad)).then_some(Aligned { quad, sigma_px, residual })
+    (near && quad::is_convex(&quad)).then_some(quad)
 }
 
 /// A trace of Levenberg's damping keeps the levels' and the width's equations regular.

@@ -17,7 +17,7 @@ pub fn trace(mask: &Mask, blob: &Blob, points: &mut Vec<Crack>) -> Option<i64> {
     let [w, h] = blob.extent();
     let convex = 2 * (w + h) as usize;
     // noise roughens edges: at a signal of 4 σ they are a third longer
-    let most = convex + convex * 3 / 4 + 16;
+    let most = convex + convex / 2 + 16;
     let [x0, y0] = blob.start.map(i32::from);
     // (x, y): the pixel corner at the crack's end, upper left of pixel (x, y)
     let (mut x, mut y, mut direction) = (x0, y0, 0usize);

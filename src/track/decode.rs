@@ -10,7 +10,7 @@ use super::rectify;
 use crate::geometry::{Homography, Lens};
 use crate::marker::{Family, Reading};
 use crate::pixels::PlaneRef;
-use glam::{DMat3, DVec2};
+use glam::DVec2;
 
 /// A picture seen through its lens.
 #[derive(Clone, Copy)]
@@ -206,9 +206,51 @@ fn harden(soft: &[[f64; MOST_BITS]; MOST_BITS], inner: usize, sharpen: f64) -> (
     (bits, clarity / (inner * inner) as f64)
 }
 
-/// The matrix of a homography and of its inverse, for those who need both ways.
-pub fn both_ways(quad: &Quad) -> Option<(Homography, DMat3)> {
-    let map = Homography::from_square(*quad)?;
-    let inverse = map.0.inverse();
-    inverse.is_finite().then_some((map, inverse))
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::pixels::{Plane, Size, SplitMix64};
+
+    /// Whatever the four corners: no panic, and what is read in random gray is next to nothing.
+    #[test]
+    fn random_quads_are_survived() {
+        let mut rng = SplitMix64::new(8);
+        let noise = Plane::from_fn(Size::new(160, 120), |_, _| rng.next_u64() as u8);
+        let lens = Lens::guess(noise.size());
+        let view = View { luma: noise.view(), lens: &lens };
+        let mut read = 0;
+        for case in 0..100_000usize {
+            let spread = [3.0, 40.0, 200.0, 1e7][case % 4];
+            let mut quad = [DVec2::ZERO; 4]
+                .map(|_| DVec2::new(80.0, 60.0) + DVec2::new(rng.f64() - 0.5, rng.f64() - 0.5) * spread);
+            match case % 89 {
+                0 => quad[2] = quad[0],
+                1 => quad[1].y = f64::NAN,
+                2 => quad[3].x = f64::NEG_INFINITY,
+                _ => {}
+            }
+            read += usize::from(decode(&view, &quad, Family::ALL[case % 4]).is_some());
+        }
+        assert!(read < 10, "{read} ghosts in 100000");
+    }
+
+    /// The upright print is read upright, a turned one turned, at every number of pixels a cell.
+    #[test]
+    fn prints_read_as_themselves() {
+        for (family, zoom) in [(Family::Tag36h11, 3), (Family::Aruco4x4_50, 5), (Family::Aruco6x6_250, 8)] {
+            let picture = family.picture(17).expect("id");
+            let side = picture.size().width * zoom;
+            let plane = Plane::from_fn(Size::new(side, side), |x, y| 40 + picture.at(x / zoom, y / zoom) / 2);
+            let (low, high) = (zoom as f64 - 0.5, (side - zoom) as f64 - 0.5);
+            let quad = [(low, low), (high, low), (high, high), (low, high)].map(|(x, y)| DVec2::new(x, y));
+            let lens = Lens::guess(plane.size());
+            for turn in 0..4 {
+                let turned = [0, 1, 2, 3].map(|i| quad[(i + turn) % 4]);
+                let found = decode(&View { luma: plane.view(), lens: &lens }, &turned, family).expect("read");
+                assert_eq!((found.reading.id, found.reading.hamming), (17, 0));
+                assert_eq!(found.quad, quad);
+                assert!((found.black.mean - 40.0).abs() < 1.0 && (found.white.mean - 167.0).abs() < 1.0);
+            }
+        }
+    }
 }

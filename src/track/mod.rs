@@ -193,7 +193,7 @@ fn wish(wanted: &[Wanted], family: Family, id: u32) -> Option<&Wanted> {
 /// Sharpens the corners and solves the poses.
 fn sight(view: &View<'_>, found: &Decoded, wanted: &[Wanted], align: bool) -> Sighting {
     let aligned = if align { align::align(view, found) } else { None };
-    let quad = aligned.map_or(found.quad, |aligned| aligned.quad);
+    let quad = aligned.unwrap_or(found.quad);
     let corners = quad.map(|p| rectify::seen(view.lens, p));
     let side_mm = wish(wanted, found.family, found.reading.id).map_or(f64::NAN, |w| w.side_mm);
     let (pose, pose_alt) = solve::solve(&corners, side_mm, view.lens);

@@ -22,7 +22,8 @@ pub fn fit(contour: &[Crack], area: i64, rectify: &Rectify) -> Option<Quad> {
         return None;
     }
     let at = |i: usize| {
-        let [x, y] = contour[i % count];
+        // indices run at most once around; a division here would cost more than everything else
+        let [x, y] = contour[if i < count { i } else { i - count }];
         rectify.ideal(DVec2::new(f64::from(x), f64::from(y)) * 0.5)
     };
     let farthest_from = |p: DVec2| farthest(0..count, |i| (at(i) - p).length_squared());
@@ -49,6 +50,10 @@ pub fn fit(contour: &[Crack], area: i64, rectify: &Rectify) -> Option<Quad> {
     };
     corners.iter_mut().for_each(|i| *i %= count);
     corners.sort_unstable();
+    let rough = corners.map(at);
+    if !(is_convex(&rough) && fits_area(&rough, area as f64)) {
+        return None;
+    }
 
     let mut quad = [DVec2::ZERO; 4];
     for pass in 0..3 {
@@ -126,7 +131,7 @@ fn farthest(range: std::ops::Range<usize>, value: impl Fn(usize) -> f64) -> Opti
 fn nearest(start: usize, count: usize, value: impl Fn(usize) -> f64) -> usize {
     let mut best = (start, value(start));
     for offset in 1..=12 {
-        for i in [(start + offset) % count, (start + count - offset % count) % count] {
+        for i in [(start + offset) % count, (start + count - offset) % count] {
             let v = value(i);
             if v < best.1 {
                 best = (i, v);

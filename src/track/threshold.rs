@@ -6,7 +6,7 @@
 //! limit of flatness follows the frame's measured noise instead of a fixed number of gray levels.
 
 use crate::pixels::{PlaneRef, Size};
-use fearless_simd::{Level, dispatch, prelude::*, u8x64};
+use fearless_simd::{Level, dispatch, prelude::*, u8x16, u8x64, u32x16};
 use rayon::prelude::*;
 
 /// Side of a tile, px.
@@ -87,6 +87,7 @@ impl Threshold {
         &self.mask
     }
 
+    #[cfg(test)]
     /// The gray range below which the last picture's neighborhoods counted as flat.
     pub fn limit(&self) -> u8 {
         self.limit
@@ -141,7 +142,7 @@ const MOST_NOISE: usize = 80;
 /// Least and greatest gray of the tiles in a band of tile rows.
 #[inline(always)]
 fn tiles<S: Simd>(
-    _simd: S,
+    simd: S,
     luma: PlaneRef<'_, u8>,
     first: usize,
     stride: usize,
@@ -157,20 +158,33 @@ fn tiles<S: Simd>(
         let (mut low, mut high) = (&mut low[1..], &mut high[1..]);
         while from < width {
             let count = WORD.min(width - from);
-            let mut least = [255u8; WORD];
-            let mut most = [0u8; WORD];
-            for row in rows {
-                for ((least, most), &gray) in least.iter_mut().zip(&mut most).zip(&row[from..from + count]) {
-                    *least = gray.min(*least);
-                    *most = gray.max(*most);
-                }
-            }
             let tiles = count.div_ceil(TILE);
-            for (out, four) in low[..tiles].iter_mut().zip(least.chunks_exact(TILE)) {
-                *out = four[0].min(four[1]).min(four[2].min(four[3]));
+            let (mut least, mut most) = (u8x64::splat(simd, 255), u8x64::splat(simd, 0));
+            for row in rows {
+                let row = &row[from..from + count];
+                let (darkest, brightest) = if count == WORD {
+                    let gray = u8x64::from_slice(simd, row);
+                    (gray, gray)
+                } else {
+                    let (mut darkest, mut brightest) = ([255u8; WORD], [0u8; WORD]);
+                    darkest[..count].copy_from_slice(row);
+                    brightest[..count].copy_from_slice(row);
+                    (u8x64::from_slice(simd, &darkest), u8x64::from_slice(simd, &brightest))
+                };
+                (least, most) = (least.min(darkest), most.max(brightest));
             }
-            for (out, four) in high[..tiles].iter_mut().zip(most.chunks_exact(TILE)) {
-                *out = four[0].max(four[1]).max(four[2].max(four[3]));
+            // the four bytes of each 32-bit lane fold into its lowest
+            let fold = |v: u8x64<S>, bits: u32, pick: fn(u8x64<S>, u8x64<S>) -> u8x64<S>| {
+                let lanes: u32x16<S> = v.bitcast();
+                pick(v, (lanes >> bits).bitcast())
+            };
+            let least: u32x16<S> = fold(fold(least, 8, u8x64::min), 16, u8x64::min).bitcast();
+            let most: u32x16<S> = fold(fold(most, 8, u8x64::max), 16, u8x64::max).bitcast();
+            for (out, v) in low[..tiles].iter_mut().zip(least.as_slice()) {
+                *out = *v as u8;
+            }
+            for (out, v) in high[..tiles].iter_mut().zip(most.as_slice()) {
+                *out = *v as u8;
             }
             (low, high) = (&mut low[tiles..], &mut high[tiles..]);
             from += count;
@@ -196,40 +210,32 @@ fn bits<S: Simd>(
     for (i, words) in words.chunks_mut(per_row * TILE).enumerate() {
         let tile_row = first + i;
         for word in 0..per_row {
-            let mut least = [255u8; WORD_TILES + 2];
-            let mut most = [0u8; WORD_TILES + 2];
+            let mut least = u8x16::splat(simd, 255);
+            let mut most = u8x16::splat(simd, 0);
             for row in tile_row..tile_row + 3 {
                 let at = row * stride + word * WORD_TILES;
-                for (out, v) in least.iter_mut().zip(&low[at..at + WORD_TILES + 2]) {
-                    *out = (*v).min(*out);
-                }
-                for (out, v) in most.iter_mut().zip(&high[at..at + WORD_TILES + 2]) {
-                    *out = (*v).max(*out);
+                for from in at..at + 3 {
+                    least = least.min(u8x16::from_slice(simd, &low[from..from + WORD_TILES]));
+                    most = most.max(u8x16::from_slice(simd, &high[from..from + WORD_TILES]));
                 }
             }
-            let mut middle = [0u8; WORD_TILES];
-            let mut any = 0;
-            for tile in 0..WORD_TILES {
-                let least = least[tile].min(least[tile + 1]).min(least[tile + 2]);
-                let most = most[tile].max(most[tile + 1]).max(most[tile + 2]);
-                let half = (u16::from(least) + u16::from(most) + 1) / 2;
-                // nothing is darker than 0: a flat tile sets no bit
-                middle[tile] = if most >= least && most - least >= limit { half as u8 } else { 0 };
-                any |= middle[tile];
-            }
+            // the mean rounded up, without a ninth bit
+            let half = (least | most) - ((least ^ most) >> 1);
+            // nothing is darker than 0: a flat tile sets no bit
+            let middle = (most - least).simd_ge(limit).select(half, u8x16::splat(simd, 0));
             let (left, count) = (word * WORD, WORD.min(width - word * WORD));
             let rows = TILE.min(height - tile_row * TILE);
-            if any == 0 {
+            if !middle.simd_gt(0).any_true() {
                 for y in 0..rows {
                     words[y * per_row + word] = 0;
                 }
                 continue;
             }
-            let mut limits = [0u8; WORD];
-            for (four, &middle) in limits.chunks_exact_mut(TILE).zip(&middle) {
-                four.fill(middle);
+            let mut limits = [0u32; WORD_TILES];
+            for (four, &middle) in limits.iter_mut().zip(middle.as_slice()) {
+                *four = u32::from(middle) * 0x0101_0101;
             }
-            let limits = u8x64::from_slice(simd, &limits);
+            let limits: u8x64<S> = u32x16::from_slice(simd, &limits).bitcast();
             for y in 0..rows {
                 let gray = &luma.row(tile_row * TILE + y)[left..left + count];
                 let gray = if count == WORD {
