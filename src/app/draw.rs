@@ -119,7 +119,7 @@ pub fn run(args: Args) -> anyhow::Result<()> {
         };
         let repeats = args.repeat.unwrap_or(0);
         if repeats > 0 {
-            (0..3).for_each(|_| drop(once()));
+            (0..3).for_each(|_| _ = once());
         }
         (0..repeats).map(|_| once()).collect::<Vec<_>>()
     });

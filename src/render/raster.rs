@@ -295,10 +295,10 @@ fn draw_triangle<S: Simd>(
                 }
                 let now2 = wins.select(before, behind.select(here, before2));
                 store(now2, &mut slot.w2, at);
-                for k in 0..3 {
+                for (k, &plane) in normal.iter().enumerate() {
                     let old = load(simd, &slot.normal[k], at);
                     let old2 = load(simd, &slot.normal2[k], at);
-                    let new = blend(normal[k]);
+                    let new = blend(plane);
                     store(wins.select(old, behind.select(new, old2)), &mut slot.normal2[k], at);
                 }
                 if !any {
@@ -307,9 +307,9 @@ fn draw_triangle<S: Simd>(
             }
             store(wins.select(here, before), &mut slot.w, at);
             if normals {
-                for k in 0..3 {
+                for (k, &plane) in normal.iter().enumerate() {
                     let old = load(simd, &slot.normal[k], at);
-                    store(wins.select(blend(normal[k]), old), &mut slot.normal[k], at);
+                    store(wins.select(blend(plane), old), &mut slot.normal[k], at);
                 }
             }
             if color {

@@ -96,7 +96,7 @@ pub(super) fn sample(texture: &Rgb, u: f32, v: f32) -> [f32; 3] {
 #[inline(always)]
 fn taps(coordinate: f32, count: usize) -> (usize, usize, f32) {
     let share = coordinate - coordinate.floor();
-    let share = if share >= 0.0 && share < 1.0 { share } else { 0.0 };
+    let share = if (0.0..1.0).contains(&share) { share } else { 0.0 };
     let at = share * count as f32 - 0.5;
     let cell = at.floor();
     let first = if cell < 0.0 { count - 1 } else { (cell as usize).min(count - 1) };
