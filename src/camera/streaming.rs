@@ -55,8 +55,26 @@ unsafe fn ioctl<T>(device: &v4l::Device, request: vidioc::_IOC_TYPE, argument: &
     unsafe { v4l2::ioctl(device.handle().fd(), request, std::ptr::from_mut(argument).cast::<c_void>()) }
 }
 
-fn zeroed<T: Copy>() -> T {
-    // SAFETY: used only for the plain integer structs and unions of videodev2.h, for which zeros are valid.
+/// Structs of videodev2.h: integers, arrays, unions and raw pointers only.
+///
+/// # Safety
+/// All zero bytes must be a valid value.
+unsafe trait Plain: Copy {}
+// SAFETY: no references, no enums, no niches in any of them.
+unsafe impl Plain for sys::v4l2_capability {}
+// SAFETY: as above.
+unsafe impl Plain for sys::v4l2_fmtdesc {}
+// SAFETY: as above.
+unsafe impl Plain for sys::v4l2_format {}
+// SAFETY: as above.
+unsafe impl Plain for sys::v4l2_pix_format {}
+// SAFETY: as above.
+unsafe impl Plain for sys::v4l2_requestbuffers {}
+// SAFETY: as above.
+unsafe impl Plain for sys::v4l2_buffer {}
+
+fn zeroed<T: Plain>() -> T {
+    // SAFETY: `Plain` promises that zeros are valid.
     unsafe { std::mem::zeroed() }
 }
 

@@ -161,7 +161,7 @@ impl Scratch {
                 quarters[have..].fill(last);
             }
             let out = if c == 0 { &mut self.cb } else { &mut self.cr };
-            spread(quarters, on_column, &mut out[..2 * pairs]);
+            spread(simd, &self.quarters, pairs, on_column, out);
         }
         start
     }
@@ -176,19 +176,25 @@ impl Scratch {
     }
 }
 
-/// Interpolates across: `quarters[i]` is chroma column i - 1 of the block, `out` two pixels a column.
+/// Interpolates across: `quarters[i]` is chroma column i - 1 of the block, `out` two pixels a column. Both
+/// have a vector's room behind what counts.
 #[inline(always)]
-fn spread(quarters: &[i16], on_column: bool, out: &mut [i16]) {
-    let (left, middle, right) = (quarters, &quarters[1..], &quarters[2..]);
-    let pairs = out.as_chunks_mut::<2>().0.iter_mut();
-    if on_column {
-        for (pair, (m, r)) in pairs.zip(middle.iter().zip(right)) {
-            *pair = [m * 4 - 2048, (m + r) * 2 - 2048];
-        }
-    } else {
-        for (pair, ((l, m), r)) in pairs.zip(left.iter().zip(middle).zip(right)) {
-            *pair = [l + m * 3 - 2048, m * 3 + r - 2048];
-        }
+fn spread<S: Simd>(simd: S, quarters: &[i16], pairs: usize, on_column: bool, out: &mut [i16]) {
+    let step = S::i16s::LEN;
+    let mut i = 0;
+    while i < pairs {
+        let middle = S::i16s::from_slice(simd, &quarters[i + 1..i + 1 + step]);
+        let right = S::i16s::from_slice(simd, &quarters[i + 2..i + 2 + step]);
+        let (even, odd) = if on_column {
+            (middle * 4, (middle + right) * 2)
+        } else {
+            let left = S::i16s::from_slice(simd, &quarters[i..i + step]);
+            (left + middle * 3, middle * 3 + right)
+        };
+        let (first, second) = (even - 2048).interleave(odd - 2048);
+        first.store_slice(&mut out[2 * i..2 * i + step]);
+        second.store_slice(&mut out[2 * i + step..2 * i + 2 * step]);
+        i += step;
     }
 }
 
