@@ -1,1 +1,268 @@
-//! The settings file: composes what each room documents for itself.
+//! The settings file: composes what each room documents for itself, and turns a mistake in it into one line
+//! that names file, line and the nearest word that would have been right.
+
+use crate::geometry::Lens;
+use crate::pixels::Size;
+use crate::scene::{LightConfig, ModelConfig, Scene};
+use crate::{camera, display, style, track};
+use glam::DVec2;
+use serde::Deserialize;
+use std::path::{Path, PathBuf};
+
+/// A scene or visor file. Every table may be left out.
+#[derive(Clone, Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Config {
+    /// Threads that compute, 1..64; 0 = 2.
+    pub threads: usize,
+    /// Where pictures come from.
+    pub camera: camera::Config,
+    /// How the camera sees.
+    pub lens: Option<LensConfig>,
+    /// How markers are found.
+    pub track: track::Config,
+    /// The models, each on a marker.
+    pub model: Vec<ModelConfig>,
+    /// The light on the models.
+    pub light: LightConfig,
+    /// How the picture is drawn.
+    pub style: style::Config,
+    /// Where it is shown.
+    pub display: display::Config,
+}
+
+/// The `[lens]` table: a calibration, pixel centers at integers, for pictures of `width` x `height`; pictures
+/// of another size with the same shape use it scaled.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LensConfig {
+    /// Width of the calibrated pictures, px.
+    pub width: usize,
+    /// Height of the calibrated pictures, px.
+    pub height: usize,
+    /// Focal length along x, px, > 0.
+    pub fx: f64,
+    /// Focal length along y, px, > 0.
+    pub fy: f64,
+    /// Principal point, px.
+    pub cx: f64,
+    /// Principal point, px.
+    pub cy: f64,
+    /// k1 k2 p1 p2 [k3 [k4 k5 k6]] as OpenCV; missing ones are 0.
+    #[serde(default)]
+    pub dist: Vec<f64>,
+}
+
+/// Why a settings file cannot be used; its text is one line.
+#[derive(Debug, thiserror::Error)]
+pub enum ConfigError {
+    /// The file cannot be read.
+    #[error("{}: cannot read settings: {source}", path.display())]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// A word, type or value in the file is wrong.
+    #[error("{}:{line}: {reason}", path.display())]
+    Wrong {
+        /// The file.
+        path: PathBuf,
+        /// Line, counted from 1.
+        line: usize,
+        /// What is wrong and what to do.
+        reason: String,
+    },
+}
+
+/// A settings file, read, with the models loaded.
+#[derive(Clone, Debug)]
+pub struct Loaded {
+    /// What the file says.
+    pub config: Config,
+    /// The models and the light.
+    pub scene: Scene,
+}
+
+impl Config {
+    /// Parses settings; `path` is for messages.
+    pub fn parse(text: &str, path: &Path) -> Result<Config, ConfigError> {
+        let wrong = |line, reason| ConfigError::Wrong { path: path.into(), line, reason };
+        let config: Config = toml::from_str(text).map_err(|e| {
+            let line = e.span().map_or(1, |span| line_of(text, span.start));
+            wrong(line, explain(e.message()))
+        })?;
+        if config.threads > 64 {
+            return Err(wrong(find_key(text, "threads"), format!("threads = {}: 1 to 64", config.threads)));
+        }
+        config.style.validate().map_err(|e| wrong(find_key(text, "style"), e.to_string()))?;
+        if let Some(lens) = &config.lens {
+            lens.check().map_err(|reason| wrong(find_key(text, "lens"), reason))?;
+        }
+        Ok(config)
+    }
+
+    /// Threads to compute with.
+    pub fn threads(&self) -> usize {
+        if self.threads == 0 { 2 } else { self.threads }
+    }
+
+    /// The lens for pictures of `size`: the calibration scaled, or the guess where there is none (or it is
+    /// for pictures of another shape); the second value says which guess was made.
+    pub fn lens(&self, size: Size) -> (Lens, Option<String>) {
+        let guess = Lens::guess(size);
+        let Some(lens) = &self.lens else {
+            let focal = guess.focal.x;
+            return (guess, Some(format!("no [lens] calibration: taking fx = fy = {focal} px, centered")));
+        };
+        let scale =
+            DVec2::new(size.width as f64 / lens.width as f64, size.height as f64 / lens.height as f64);
+        if (scale.x / scale.y - 1.0).abs() > 0.01 {
+            let calibrated = Size::new(lens.width, lens.height);
+            let text = format!(
+                "[lens] is for {calibrated}, pictures are {size}: taking fx = fy = {}",
+                guess.focal.x
+            );
+            return (guess, Some(text));
+        }
+        let mut distortion = [0.0; 8];
+        for (to, from) in distortion.iter_mut().zip(&lens.dist) {
+            *to = *from;
+        }
+        // pixel centers at integers: scaling keeps the picture's edge at -.5
+        let center = (DVec2::new(lens.cx, lens.cy) + 0.5) * scale - 0.5;
+        (Lens { size, focal: DVec2::new(lens.fx, lens.fy) * scale, center, distortion }, None)
+    }
+}
+
+impl LensConfig {
+    fn check(&self) -> Result<(), String> {
+        let numbers = [self.fx, self.fy, self.cx, self.cy];
+        if self.width == 0 || self.height == 0 {
+            return Err("lens.width and lens.height must be above 0".into());
+        }
+        if !numbers.iter().chain(&self.dist).all(|v| v.is_finite()) || self.fx <= 0.0 || self.fy <= 0.0 {
+            return Err("lens: fx and fy must be above 0, all numbers finite".into());
+        }
+        if ![0, 4, 5, 8].contains(&self.dist.len()) {
+            return Err(format!(
+                "lens.dist has {} numbers: give 4, 5 or 8 (k1 k2 p1 p2 k3 k4 k5 k6)",
+                self.dist.len()
+            ));
+        }
+        Ok(())
+    }
+}
+
+impl Loaded {
+    /// Reads a settings file and the models it names (paths in it are relative to it).
+    pub fn read(path: &Path) -> Result<Loaded, ConfigError> {
+        let read = |source| ConfigError::Read { path: path.into(), source };
+        let text = std::fs::read_to_string(path).map_err(read)?;
+        let mut config = Config::parse(&text, path)?;
+        let folder = path.parent().unwrap_or(Path::new("."));
+        config.camera.resolve(folder);
+        let scene = Scene::build(&config.model, &config.light, folder).map_err(|e| ConfigError::Wrong {
+            path: path.into(),
+            line: nth_table(&text, "[[model]]", e.number),
+            reason: e.to_string(),
+        })?;
+        Ok(Loaded { config, scene })
+    }
+}
+
+fn line_of(text: &str, at: usize) -> usize {
+    text.as_bytes()[..at.min(text.len())].iter().filter(|&&b| b == b'\n').count() + 1
+}
+
+/// The first line whose key or table header is `key`; 1 when there is none.
+fn find_key(text: &str, key: &str) -> usize {
+    let names = |line: &str| {
+        let line = line.trim_start_matches(['[', ' ', '\t']);
+        line.strip_prefix(key).is_some_and(|rest| rest.trim_start().starts_with([']', '=', '.']))
+    };
+    text.lines().position(names).map_or(1, |index| index + 1)
+}
+
+/// The line of the nth (from 1) table header.
+fn nth_table(text: &str, header: &str, n: usize) -> usize {
+    let mut headers = text.lines().enumerate().filter(|(_, line)| line.trim().starts_with(header));
+    headers.nth(n.saturating_sub(1)).map_or(1, |(index, _)| index + 1)
+}
+
+/// The parser's message in one line, with the nearest valid word where it lists them.
+fn explain(message: &str) -> String {
+    let message = message.lines().map(str::trim).filter(|l| !l.is_empty()).collect::<Vec<_>>().join(", ");
+    let Some((said, valid)) = message.split_once("expected one of ").or(message.split_once(", expected `"))
+    else {
+        return message;
+    };
+    let quoted = |text: &str| text.split('`').skip(1).step_by(2).map(str::to_string).collect::<Vec<_>>();
+    let valid =
+        if message.contains("expected one of") { quoted(valid) } else { quoted(&format!("`{valid}")) };
+    let Some(word) = quoted(said).into_iter().next() else { return message };
+    match nearest(&word, &valid) {
+        Some(best) => format!("{}; did you mean `{best}`?", message.trim_end_matches('.')),
+        None => message,
+    }
+}
+
+/// The valid word with the fewest edits to `word`.
+fn nearest<'a>(word: &str, valid: &'a [String]) -> Option<&'a str> {
+    valid.iter().map(String::as_str).min_by_key(|candidate| edits(word, candidate))
+}
+
+/// Levenshtein distance.
+fn edits(a: &str, b: &str) -> usize {
+    let b: Vec<char> = b.chars().collect();
+    let mut row: Vec<usize> = (0..=b.len()).collect();
+    for (i, ca) in a.chars().enumerate() {
+        let mut diagonal = row[0];
+        row[0] = i + 1;
+        for (j, &cb) in b.iter().enumerate() {
+            let change = diagonal + usize::from(ca != cb);
+            diagonal = row[j + 1];
+            row[j + 1] = change.min(diagonal + 1).min(row[j] + 1);
+        }
+    }
+    row[b.len()]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn error(text: &str) -> String {
+        Config::parse(text, Path::new("visor.toml")).expect_err("must be refused").to_string()
+    }
+
+    #[test]
+    fn a_wrong_key_names_file_line_and_the_nearest_word() {
+        let message = error("threads = 2\n\n[light]\nambiant = 0.2\n");
+        assert!(message.starts_with("visor.toml:4: "), "{message}");
+        assert!(message.contains("did you mean `ambient`?"), "{message}");
+        assert_eq!(message.lines().count(), 1);
+    }
+
+    #[test]
+    fn a_wrong_value_names_the_line() {
+        let message = error("[style]\nname = \"cartoony\"\n");
+        assert!(message.starts_with("visor.toml:2: ") && message.contains("`cartoon`"), "{message}");
+        assert!(
+            error("[lens]\nwidth = 0\nheight = 1\nfx = 1\nfy = 1\ncx = 0\ncy = 0\n").contains("visor.toml:1")
+        );
+        assert!(error("threads = 99").contains("1 to 64"));
+        assert!(error("threads = ").contains("visor.toml:1"));
+    }
+
+    #[test]
+    fn a_calibration_scales_with_the_picture() {
+        let text = "[lens]\nwidth=640\nheight=480\nfx=600\nfy=610\ncx=319.5\ncy=239.5\ndist=[-0.2,0,0,0]\n";
+        let config = Config::parse(text, Path::new("a")).expect("valid");
+        let (lens, warning) = config.lens(Size::new(1280, 960));
+        assert!(warning.is_none());
+        assert_eq!((lens.focal.x, lens.center.x, lens.distortion[0]), (1200.0, 639.5, -0.2));
+        assert!(config.lens(Size::new(1280, 720)).1.is_some(), "another shape is no scaled calibration");
+    }
+}

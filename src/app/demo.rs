@@ -1,9 +1,212 @@
-//! `vernissage demo`.
+//! `vernissage demo`: the main job on the synthetic camera, and one sheet of pictures to look at.
 
-/// Not written yet.
-#[derive(clap::Args, Default)]
-pub struct Args {}
+use super::config::Config;
+use super::report::{machine, ms};
+use super::{Failed, pool};
+use crate::camera::{Synthetic, SyntheticConfig};
+use crate::display::Sink;
+use crate::frame::Frame;
+use crate::geometry::Pose;
+use crate::pipeline::{Pipeline, Record, Stage};
+use crate::pixels::{Rgb, Size, picture, simd};
+use crate::scene::Scene;
+use crate::style::StyleName;
+use anyhow::Context;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
 
-pub fn run(_args: Args) -> anyhow::Result<()> {
-    anyhow::bail!("demo is not built yet")
+/// Shows the main job without a camera: a teapot on a printed marker, tracked, drawn and restyled.
+///
+/// Plays a clip of a table with a printed marker, drawn by the program itself with exact truth, through the
+/// whole pipeline, and prints frames per second, tracking, pose error and the time of every stage. Leaves
+/// DIR/sheet.png: three moments (rows) as input, conventional AR, and styled.
+#[derive(clap::Args)]
+#[command(
+    after_help = "Examples:\n  vernissage demo\n  vernissage demo --style plain --frames 30 --out /tmp/demo"
+)]
+pub struct Args {
+    /// Folder for the pictures
+    #[arg(long, default_value = "demo", value_name = "DIR")]
+    out: PathBuf,
+    /// Style of the measured frames and of the sheet's last column
+    #[arg(long, default_value = "cartoon", value_name = "S")]
+    style: StyleName,
+    /// Frames to play, from 1
+    #[arg(long, default_value_t = 240, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=1_000_000))]
+    frames: u64,
+    /// Threads that compute
+    #[arg(long, default_value_t = 2, value_name = "N")]
+    threads: usize,
+}
+
+impl Default for Args {
+    fn default() -> Self {
+        Self { out: "demo".into(), style: StyleName::Cartoon, frames: 240, threads: 2 }
+    }
+}
+
+/// Rows of the sheet.
+const MOMENTS: u64 = 3;
+
+pub fn run(args: Args) -> anyhow::Result<()> {
+    std::fs::create_dir_all(&args.out)
+        .with_context(|| format!("{}: cannot make this folder", args.out.display()))?;
+    pool(args.threads)?.install(|| play(&args))
+}
+
+/// The demo's scene in this style: the pipeline and its camera, both of the demo's settings.
+pub fn stage(style: StyleName, frames: u64) -> anyhow::Result<(Pipeline, Synthetic)> {
+    let text = include_str!("demo.toml");
+    let mut config = Config::parse(text, Path::new("demo.toml"))?;
+    config.style.name = style;
+    let scene = Scene::build(&config.model, &config.light, Path::new("."))?;
+    let settings = SyntheticConfig { frames, ..config.camera.synthetic.clone() };
+    let size = Size::new(config.camera.width, config.camera.height);
+    let camera = Synthetic::new(&settings, size, 30.0, simd::best());
+    let pipeline = Pipeline::new(scene, camera.lens(), config.track, &config.style, simd::best());
+    Ok((pipeline, camera))
+}
+
+/// What the run gathers.
+struct Tally {
+    stages: [Record; 5],
+    latency: Record,
+    rotation_deg: Vec<f64>,
+    translation_percent: Vec<f64>,
+    shown: u64,
+    tracked: u64,
+    spent: Duration,
+}
+
+fn play(args: &Args) -> anyhow::Result<()> {
+    let (mut pipeline, mut camera) = stage(args.style, args.frames)?;
+    let (mut plain, _) = stage(StyleName::Plain, args.frames)?;
+    let mut sink = Sink::Null;
+    let mut frame = Frame::default();
+    let mut sheet = Sheet::new(camera.lens().size);
+    let mut tally = Tally {
+        stages: std::array::from_fn(|_| Record::new(args.frames as usize)),
+        latency: Record::new(args.frames as usize),
+        rotation_deg: Vec::new(),
+        translation_percent: Vec::new(),
+        shown: 0,
+        tracked: 0,
+        spent: Duration::ZERO,
+    };
+    let bar = super::progress::bar(Some(args.frames), "frames");
+    loop {
+        let fetch = Instant::now();
+        if !camera.next(&mut frame) {
+            break;
+        }
+        tally.stages[Stage::Camera as usize].push(fetch.elapsed());
+        let arrived = Instant::now();
+        let mut drawn = pipeline.draw_frame(&frame);
+        let timings = &mut drawn.timings;
+        timings
+            .measure(Stage::Show, || sink.present(drawn.canvas))
+            .context(Failed("cannot show the picture"))?;
+        tally.spent += arrived.elapsed();
+        tally.latency.push(arrived.elapsed());
+        for stage in Stage::ALL.into_iter().skip(1) {
+            tally.stages[stage as usize].push(timings.of(stage));
+        }
+        if camera.shows_marker(frame.sequence) {
+            tally.shown += 1;
+            if let Some(pose) = drawn.sightings.iter().find_map(|s| s.pose) {
+                tally.tracked += 1;
+                tally.compare(&pose.pose, &camera.truth(frame.sequence));
+            }
+        }
+        if sheet.wants(frame.sequence, args.frames) {
+            let styled = drawn.canvas.clone();
+            let plain = plain.draw_frame(&frame).canvas;
+            sheet.add_row([&frame.color, plain, &styled]);
+        }
+        bar.inc(1);
+    }
+    bar.finish_and_clear();
+    let path = args.out.join("sheet.png");
+    picture::write_png(&path, &sheet.picture).context(Failed("cannot write the sheet"))?;
+    tally.print(args, camera.lens().size, &path);
+    Ok(())
+}
+
+impl Tally {
+    fn compare(&mut self, pose: &Pose, truth: &Pose) {
+        self.rotation_deg.push(pose.angle_to(truth).to_degrees());
+        let miss = (pose.translation - truth.translation).length();
+        self.translation_percent.push(100.0 * miss / truth.translation.length());
+    }
+
+    fn print(&mut self, args: &Args, size: Size, path: &Path) {
+        let frames = self.latency.count();
+        let style = args.style;
+        println!("{}, {} threads, {size}, style {style}", machine(), args.threads);
+        let rate = frames as f64 / self.spent.as_secs_f64().max(1e-9);
+        println!("frames      {frames}, {rate:.0} frames/s (the synthetic camera's own drawing not counted)");
+        println!("tracked     {} of {} frames that show the marker", self.tracked, self.shown);
+        let (rotation, translation) = (spread(&mut self.rotation_deg), spread(&mut self.translation_percent));
+        println!("pose error  rotation median {:.3}°, max {:.3}°", rotation.0, rotation.1);
+        println!(
+            "            translation median {:.3} %, max {:.3} % of the distance",
+            translation.0, translation.1
+        );
+        println!("\nstage      median ms    p99 ms");
+        for stage in Stage::ALL {
+            let record = &self.stages[stage as usize];
+            println!(
+                "{:<9} {:>10} {:>9}",
+                stage.name(),
+                ms(record.percentile(0.5)),
+                ms(record.percentile(0.99))
+            );
+        }
+        let latency = &self.latency;
+        println!("{:<9} {:>10} {:>9}", "in → out", ms(latency.percentile(0.5)), ms(latency.percentile(0.99)));
+        println!("\npicture     {} (rows: three moments; columns: input, plain AR, {style})", path.display());
+    }
+}
+
+/// Median and maximum; zeros when empty.
+fn spread(values: &mut [f64]) -> (f64, f64) {
+    values.sort_by(f64::total_cmp);
+    let median = values.get(values.len() / 2).copied().unwrap_or_default();
+    (median, values.last().copied().unwrap_or_default())
+}
+
+/// Pictures side by side on white.
+struct Sheet {
+    picture: Rgb,
+    cell: Size,
+    rows: u64,
+}
+
+/// White between and around the sheet's pictures, px.
+const MARGIN: usize = 12;
+
+impl Sheet {
+    fn new(cell: Size) -> Self {
+        let size = |count: usize, side: usize| count * (side + MARGIN) + MARGIN;
+        let whole = Size::new(size(3, cell.width), size(MOMENTS as usize, cell.height));
+        Self { picture: Rgb::new(whole, [250; 3]), cell, rows: 0 }
+    }
+
+    /// Whether frame `sequence` of `frames` is one of the moments.
+    fn wants(&self, sequence: u64, frames: u64) -> bool {
+        self.rows < MOMENTS && sequence >= self.rows * frames / MOMENTS
+    }
+
+    fn add_row(&mut self, pictures: [&Rgb; 3]) {
+        let top = MARGIN + self.rows as usize * (self.cell.height + MARGIN);
+        for (column, picture) in pictures.into_iter().enumerate() {
+            let left = MARGIN + column * (self.cell.width + MARGIN);
+            for (to, from) in self.picture.planes.iter_mut().zip(&picture.planes) {
+                for y in 0..self.cell.height {
+                    to.row_mut(top + y)[left..][..self.cell.width].copy_from_slice(from.row(y));
+                }
+            }
+        }
+        self.rows += 1;
+    }
 }

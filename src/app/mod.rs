@@ -8,8 +8,11 @@ pub mod config;
 mod demo;
 mod detect;
 mod draw;
+mod logging;
 mod plan;
+mod progress;
 mod render;
+mod report;
 mod run;
 mod stylize;
 
@@ -18,7 +21,7 @@ use std::process::ExitCode;
 
 /// Turns an ARM board, a camera and a small display into a stylised-reality visor.
 #[derive(Parser)]
-#[command(name = "vernissage", version)]
+#[command(name = "vernissage", version = report::VERSION)]
 struct Cli {
     #[command(subcommand)]
     command: Option<Command>,
@@ -44,6 +47,7 @@ pub struct Failed(pub &'static str);
 
 /// Parses the command line, runs the command, prints the error if there is one.
 pub fn main() -> ExitCode {
+    logging::start();
     let command = Cli::parse().command.unwrap_or(Command::Demo(demo::Args::default()));
     let done = match command {
         Command::Demo(args) => demo::run(args),

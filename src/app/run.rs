@@ -1,9 +1,292 @@
-//! `vernissage run`.
+//! `vernissage run`: the appliance. A camera thread hands its newest picture to the pipeline, which draws and
+//! shows it; a camera that leaves is opened again.
 
-/// Not written yet.
-#[derive(clap::Args, Default)]
-pub struct Args {}
+use super::config::Loaded;
+use super::report::ms;
+use super::{Failed, pool};
+use crate::camera::{self, CameraError, Grab, RawFormat, RawRef, Source, trace};
+use crate::display::{self, Sink};
+use crate::frame::Frame;
+use crate::pipeline::{Pipeline, Reader, Record, Stage, Writer, latest};
+use crate::pixels::simd;
+use anyhow::Context;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
 
-pub fn run(_args: Args) -> anyhow::Result<()> {
-    anyhow::bail!("run is not built yet")
+/// The appliance: camera to screen, until it is stopped.
+#[derive(clap::Args)]
+#[command(after_help = "Examples:\n  vernissage run --config visor.toml\n  \
+    vernissage run --config visor.toml --frames 60 --trace trace.bin   then   vernissage render --trace trace.bin")]
+pub struct Args {
+    /// Visor file
+    #[arg(long, value_name = "FILE")]
+    config: PathBuf,
+    /// Stop after this many shown frames
+    #[arg(long, value_name = "N")]
+    frames: Option<u64>,
+    /// Record every shown frame: sequence, times, raw camera bytes and what the screen showed
+    #[arg(long, value_name = "FILE")]
+    trace: Option<PathBuf>,
+    /// Print the closing figures as one JSON object
+    #[arg(long)]
+    json: bool,
+}
+
+/// A camera picture with what a trace wants of it.
+#[derive(Clone, Default)]
+struct Captured {
+    frame: Frame,
+    /// Kept only for a trace.
+    raw: Option<(RawFormat, Vec<u8>)>,
+}
+
+/// A picture older than this is worth a word in the log.
+const PATIENCE: Duration = Duration::from_secs(1);
+/// How often the figures are logged.
+const REPORT_EVERY: Duration = Duration::from_secs(10);
+
+pub fn run(args: Args) -> anyhow::Result<()> {
+    let Loaded { config, scene } = Loaded::read(&args.config)?;
+    let source = Source::open(&config.camera)?;
+    let size = source.size();
+    let (lens, warning) = match source.lens() {
+        Some(exact) => (exact, None),
+        None => config.lens(size),
+    };
+    if let Some(warning) = warning {
+        log::warn!("{warning}");
+    }
+    let sink = Sink::open(&config.display, size)?;
+    log::info!("camera {source}, display {sink}, style {}", config.style.name);
+    let pipeline = Pipeline::new(scene, lens, config.track.clone(), &config.style, simd::best());
+    let trace = args.trace.as_deref().map(trace::Writer::create).transpose()?;
+
+    let stop = Arc::new(AtomicBool::new(false));
+    for signal in [signal_hook::consts::SIGTERM, signal_hook::consts::SIGINT] {
+        signal_hook::flag::register(signal, stop.clone()).context(Failed("cannot watch for signals"))?;
+    }
+    pool(config.threads())?.install(|| {
+        let (writer, reader) = latest(Captured::default(), std::thread::current());
+        std::thread::scope(|scope| {
+            let camera = std::thread::Builder::new().name("camera".into());
+            let stopped = &stop;
+            let (settings, keep_raw) = (&config.camera, args.trace.is_some());
+            camera
+                .spawn_scoped(scope, move || watch(source, settings, keep_raw, writer, stopped))
+                .context(Failed("cannot start the camera's thread"))?;
+            let shown = Show { pipeline, sink, trace, display: &config.display, args: &args }.all(reader, &stop);
+            stop.store(true, Ordering::Relaxed);
+            shown
+        })
+    })
+}
+
+/// The camera's thread: every picture goes to `writer`; a camera that left is opened again.
+fn watch(
+    mut source: Source,
+    settings: &camera::Config,
+    keep_raw: bool,
+    mut writer: Writer<Captured>,
+    stop: &AtomicBool,
+) {
+    source.keep_raw(keep_raw);
+    // a pool of its own: conversions on this thread must not wake the pipeline's workers
+    let Ok(alone) = rayon::ThreadPoolBuilder::new().num_threads(1).build() else {
+        log::error!("camera: cannot start its worker");
+        return;
+    };
+    alone.install(|| {
+        while !stop.load(Ordering::Relaxed) && !writer.is_abandoned() {
+            let grabbed = {
+                let mut buffer = writer.buffer();
+                let grabbed = source.next(&mut buffer.frame, PATIENCE);
+                if let (Ok(Grab::Frame), Some(raw)) = (&grabbed, source.raw()) {
+                    let (format, bytes) = buffer.raw.get_or_insert_with(|| (raw.format, Vec::new()));
+                    *format = raw.format;
+                    bytes.clear();
+                    bytes.extend_from_slice(raw.bytes);
+                }
+                grabbed
+            };
+            match grabbed {
+                Ok(Grab::Frame) => writer.publish(),
+                Ok(Grab::End) => return,
+                Ok(Grab::Timeout) => log::warn!("camera: no picture for {PATIENCE:?}"),
+                Err(error) => {
+                    log::warn!("camera: {error}; opening it again");
+                    // the driver frees a lost device only when every descriptor on it is closed
+                    drop(source);
+                    match reopen(settings, keep_raw, stop) {
+                        Some(opened) => source = opened,
+                        None => return,
+                    }
+                }
+            }
+        }
+    });
+}
+
+/// Opens the camera again, however long it takes; `None` when told to stop.
+fn reopen(settings: &camera::Config, keep_raw: bool, stop: &AtomicBool) -> Option<Source> {
+    let mut wait = Duration::from_millis(50);
+    let mut said = None;
+    while !stop.load(Ordering::Relaxed) {
+        match Source::open(settings) {
+            Ok(mut source) => {
+                source.keep_raw(keep_raw);
+                log::info!("camera {source} is back");
+                return Some(source);
+            }
+            Err(error) => tell_once(&mut said, &error),
+        }
+        std::thread::park_timeout(wait);
+        wait = (wait * 2).min(Duration::from_secs(1));
+    }
+    None
+}
+
+fn tell_once(said: &mut Option<String>, error: &CameraError) {
+    let text = error.to_string();
+    if said.as_ref() != Some(&text) {
+        log::warn!("camera: {text}");
+        *said = Some(text);
+    }
+}
+
+/// The pipeline's side of the loop.
+struct Show<'a> {
+    pipeline: Pipeline,
+    sink: Sink,
+    trace: Option<trace::Writer>,
+    display: &'a display::Config,
+    args: &'a Args,
+}
+
+/// Figures of a run.
+struct Figures {
+    shown: u64,
+    gaps: u64,
+    backwards: u64,
+    tracked: u64,
+    stages: [Record; 5],
+    latency: Record,
+    last_sequence: Option<u64>,
+}
+
+impl Show<'_> {
+    fn all(&mut self, mut reader: Reader<Captured>, stop: &AtomicBool) -> anyhow::Result<()> {
+        let mut figures = Figures {
+            shown: 0,
+            gaps: 0,
+            backwards: 0,
+            tracked: 0,
+            stages: std::array::from_fn(|_| Record::new(4096)),
+            latency: Record::new(4096),
+            last_sequence: None,
+        };
+        let start = Instant::now();
+        let mut reported = Instant::now();
+        let mut captured_before = None;
+        while !stop.load(Ordering::Relaxed) && self.args.frames.is_none_or(|n| figures.shown < n) {
+            let waiting = Instant::now();
+            let ended = reader.is_abandoned();
+            let Some(captured) = reader.next(if ended { Duration::ZERO } else { PATIENCE }) else {
+                if ended {
+                    break;
+                }
+                continue;
+            };
+            figures.stages[Stage::Camera as usize].push(waiting.elapsed());
+            let frame = &captured.frame;
+            let mut drawn = self.pipeline.draw_frame(frame);
+            let shown = drawn.timings.measure(Stage::Show, || self.sink.present(drawn.canvas));
+            let shown = shown.context(Failed("cannot show the picture"))?;
+            // the flip's own time where the display tells it, one picture late; else when it was handed over
+            if let (Some(before), Some(flipped)) = (captured_before, shown.previous) {
+                figures.latency.push(flipped.saturating_sub(before));
+            } else if self.sink.mode().is_none() {
+                figures.latency.push(shown.at.saturating_sub(frame.captured_at));
+            }
+            captured_before = Some(frame.captured_at);
+            figures.count(frame.sequence, !drawn.sightings.is_empty());
+            for stage in Stage::ALL.into_iter().skip(1) {
+                figures.stages[stage as usize].push(drawn.timings.of(stage));
+            }
+            if let (Some(trace), Some((format, bytes))) = (&mut self.trace, &captured.raw) {
+                let mode = self.sink.mode().unwrap_or(frame.size());
+                // what the screen shows; without one, what a screen of the picture's size would show
+                let hash = self.sink.scan_out_hash().unwrap_or_else(|| {
+                    display::compose(drawn.canvas, mode, self.display.scale, self.display.filter).hash()
+                });
+                let entry = trace::Entry {
+                    sequence: frame.sequence,
+                    captured_at: frame.captured_at,
+                    shown_at: shown.at,
+                    shown_hash: hash,
+                    mode: [mode.width as u32, mode.height as u32],
+                };
+                trace.push(&entry, &RawRef { format: *format, bytes }).context(Failed("cannot write the trace"))?;
+            }
+            if reported.elapsed() > REPORT_EVERY {
+                log::info!("{}", figures.line(start.elapsed(), reader.replaced()));
+                reported = Instant::now();
+            }
+        }
+        if let Some(trace) = self.trace.take() {
+            trace.finish().context(Failed("cannot write the trace"))?;
+        }
+        if self.args.json {
+            println!("{}", figures.json(start.elapsed(), reader.replaced()));
+        } else {
+            println!("{}", figures.line(start.elapsed(), reader.replaced()));
+        }
+        Ok(())
+    }
+}
+
+impl Figures {
+    fn count(&mut self, sequence: u64, tracked: bool) {
+        self.shown += 1;
+        self.tracked += u64::from(tracked);
+        if let Some(last) = self.last_sequence {
+            self.gaps += sequence.saturating_sub(last + 1);
+            self.backwards += u64::from(sequence <= last);
+        }
+        self.last_sequence = Some(sequence);
+    }
+
+    fn line(&self, elapsed: Duration, replaced: u64) -> String {
+        let latency = (ms(self.latency.percentile(0.5)), ms(self.latency.percentile(0.99)));
+        let mut line = format!(
+            "{} shown ({:.1}/s), {} tracked, {} missing in the sequence ({replaced} replaced by newer), \
+             {} out of order; capture to shown p50 {} ms, p99 {} ms;",
+            self.shown,
+            self.shown as f64 / elapsed.as_secs_f64().max(1e-9),
+            self.tracked,
+            self.gaps,
+            self.backwards,
+            latency.0,
+            latency.1,
+        );
+        for stage in Stage::ALL {
+            line += &format!(" {} {}", stage.name(), ms(self.stages[stage as usize].percentile(0.5)));
+        }
+        line + " ms"
+    }
+
+    fn json(&self, elapsed: Duration, replaced: u64) -> serde_json::Value {
+        let in_ms = |d: Duration| d.as_secs_f64() * 1e3;
+        let stages: serde_json::Map<_, _> = Stage::ALL
+            .iter()
+            .map(|&s| (s.name().to_string(), in_ms(self.stages[s as usize].percentile(0.5)).into()))
+            .collect();
+        serde_json::json!({
+            "shown": self.shown, "seconds": elapsed.as_secs_f64(), "tracked": self.tracked,
+            "missing": self.gaps, "replaced": replaced, "out_of_order": self.backwards,
+            "latency_ms": { "p50": in_ms(self.latency.percentile(0.5)), "p99": in_ms(self.latency.percentile(0.99)) },
+            "stages_ms": stages,
+        })
+    }
 }

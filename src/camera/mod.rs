@@ -1,1 +1,315 @@
-//! camera
+//! Where frames come from: a camera (V4L2), a clip (pictures or Y4M), a recorded trace.
+//!
+//! Comes in: `Config`; goes out: `Frame`s, newest first for cameras, every one for clips and traces, each
+//! with a running number and the time it was taken. A `Source` never recovers by itself: an error from a
+//! camera means "drop me and open me anew"; `app` decides when. Bad bytes from a device or a file are dropped
+//! and counted, or refused with an error that names the file and the frame; they never panic.
+
+mod clip;
+mod grab;
+pub mod negotiate;
+mod raw;
+#[cfg(target_os = "linux")]
+mod streaming;
+pub mod trace;
+#[cfg(target_os = "linux")]
+mod v4l2;
+mod y4m;
+
+pub use clip::Clip;
+pub use grab::Stats;
+pub use raw::{Decoder, LARGEST, MOST_BYTES, PixelFormat, RawFormat, RawRef, decode};
+pub use trace::Trace;
+#[cfg(target_os = "linux")]
+pub use v4l2::{Candidate, V4l2, now, probe};
+
+use crate::frame::Frame;
+use crate::pixels::{Size, picture::PictureError};
+use negotiate::Wish;
+use serde::{Deserialize, Serialize};
+use std::path::PathBuf;
+use std::time::Duration;
+
+/// Which source frames come from.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Kind {
+    /// A camera of the Linux kernel.
+    #[default]
+    V4l2,
+    /// Pictures or a Y4M clip.
+    Clip,
+    /// A trace that `run --trace` recorded.
+    Trace,
+    /// The drawn table with its marker.
+    Synthetic,
+}
+
+/// The format to ask a camera for.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum FormatChoice {
+    /// The best that the camera has: see `negotiate::rank`.
+    #[default]
+    Auto,
+    /// Packed 4:2:2.
+    Yuyv,
+    /// Packed 4:2:2, chroma first.
+    Uyvy,
+    /// 4:2:0 in two planes.
+    Nv12,
+    /// Luma alone.
+    Grey,
+    /// R, G, B bytes.
+    Rgb3,
+    /// Motion JPEG.
+    Mjpg,
+}
+
+impl FormatChoice {
+    /// The named format, `None` for auto.
+    pub fn format(self) -> Option<PixelFormat> {
+        match self {
+            FormatChoice::Auto => None,
+            FormatChoice::Yuyv => Some(PixelFormat::Yuyv),
+            FormatChoice::Uyvy => Some(PixelFormat::Uyvy),
+            FormatChoice::Nv12 => Some(PixelFormat::Nv12),
+            FormatChoice::Grey => Some(PixelFormat::Grey),
+            FormatChoice::Rgb3 => Some(PixelFormat::Rgb3),
+            FormatChoice::Mjpg => Some(PixelFormat::Mjpg),
+        }
+    }
+
+    /// The name as in the configuration.
+    pub fn name(self) -> &'static str {
+        self.format().map_or("auto", PixelFormat::name)
+    }
+}
+
+/// Settings of the camera room: `[camera]` in the configuration.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Config {
+    /// "v4l2", "clip", "trace" or "synthetic".
+    pub source: Kind,
+    /// The camera's node, as /dev/video0; "auto": the first that serves.
+    pub device: String,
+    /// Clip: a folder of pictures, a picture, a Y4M file, or "-" for Y4M on stdin. Trace: its file.
+    pub path: PathBuf,
+    /// Wished width in pixels, 1..8192. Clips and traces have their own.
+    pub width: usize,
+    /// Wished height in pixels, 1..8192.
+    pub height: usize,
+    /// Wished pictures a second, 1..1000; for pictures in a folder: the rate they are taken to have.
+    pub fps: f64,
+    /// "auto", or the only format to use: yuyv, uyvy, nv12, grey, rgb3, mjpg.
+    pub format: FormatChoice,
+    /// Buffers shared with the driver, 2..32: more survive longer pauses, none add latency.
+    pub buffers: u32,
+}
+
+impl Default for Config {
+    fn default() -> Self {
+        Self {
+            source: Kind::default(),
+            device: "auto".into(),
+            path: PathBuf::new(),
+            width: 640,
+            height: 480,
+            fps: 30.0,
+            format: FormatChoice::Auto,
+            buffers: 4,
+        }
+    }
+}
+
+impl Config {
+    /// Reads clips or pictures from `path`.
+    pub fn clip(path: impl Into<PathBuf>) -> Self {
+        Self { source: Kind::Clip, path: path.into(), ..Self::default() }
+    }
+
+    /// What a camera is asked for.
+    pub fn wish(&self) -> Wish {
+        let fps = if self.fps.is_finite() { self.fps.clamp(1.0, 1000.0) } else { 30.0 };
+        let size = Size::new(self.width.clamp(1, LARGEST), self.height.clamp(1, LARGEST));
+        Wish { size, fps, format: self.format.format() }
+    }
+}
+
+/// What a call for the next frame brought.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Grab {
+    /// The frame was filled.
+    Frame,
+    /// Nothing came in time; the source goes on.
+    Timeout,
+    /// The clip is over.
+    End,
+}
+
+/// Why there is no frame.
+#[derive(Debug, thiserror::Error)]
+pub enum CameraError {
+    /// Nothing there to open.
+    #[error(
+        "no camera at {device}{others}: plug one in, or name another with camera.device; without one, set camera.source = \"synthetic\""
+    )]
+    NoCamera {
+        /// The node asked for.
+        device: String,
+        /// What else was found, in parentheses, or nothing.
+        others: String,
+    },
+    /// It is there and cannot serve.
+    #[error(
+        "{device} cannot serve as the camera: {reason}; name another with camera.device or change camera.format"
+    )]
+    Unsuitable {
+        /// The node.
+        device: String,
+        /// Why.
+        reason: String,
+    },
+    /// Another program streams from it.
+    #[error(
+        "{device} is in use by another program: stop that one, or name another camera with camera.device"
+    )]
+    Busy {
+        /// The node.
+        device: String,
+    },
+    /// It was unplugged or its driver let go. Open it anew.
+    #[error("{device} is gone: plug it in again ({source})")]
+    Lost {
+        /// The node.
+        device: String,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// It failed in a way that may pass. Open it anew.
+    #[error("{device} failed while {step}: {source}; unplug it and plug it in again if that persists")]
+    Fault {
+        /// The node.
+        device: String,
+        /// What was being done.
+        step: &'static str,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// A file cannot be opened or read.
+    #[error("{name}: cannot read {what}: {source}")]
+    Read {
+        /// The file.
+        name: String,
+        /// Which part of it.
+        what: String,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// A file is not what it should be.
+    #[error("{name}: {reason}")]
+    Format {
+        /// The file.
+        name: String,
+        /// What is wrong, where, and what to do.
+        reason: String,
+    },
+    /// A picture of a folder or its first file.
+    #[error(transparent)]
+    Picture(#[from] PictureError),
+    /// Raw bytes that do not hold the picture they should.
+    #[error("{0}")]
+    Raw(String),
+    /// This build or configuration has no such source.
+    #[error("camera.source = \"{0}\" is not available here: {1}")]
+    Unavailable(&'static str, &'static str),
+}
+
+/// A source of frames.
+pub enum Source {
+    /// A camera of the Linux kernel.
+    #[cfg(target_os = "linux")]
+    V4l2(Box<V4l2>),
+    /// Pictures or a Y4M clip: every frame, as fast as asked.
+    Clip(Box<Clip>),
+    /// A recorded trace: every frame, as fast as asked.
+    Trace(Box<Trace>),
+    // Synthetic(Box<Synthetic>): `synthetic.rs` joins here and in the matches below
+}
+
+impl Source {
+    /// Opens what `config` names and learns the picture size.
+    pub fn open(config: &Config) -> Result<Self, CameraError> {
+        match config.source {
+            #[cfg(target_os = "linux")]
+            Kind::V4l2 => Ok(Source::V4l2(Box::new(V4l2::open(config)?))),
+            #[cfg(not(target_os = "linux"))]
+            Kind::V4l2 => Err(CameraError::Unavailable("v4l2", "it needs Linux")),
+            Kind::Clip => Ok(Source::Clip(Box::new(Clip::open(&config.path, config.wish().fps)?))),
+            Kind::Trace => Ok(Source::Trace(Box::new(Trace::open(&config.path)?))),
+            Kind::Synthetic => Err(CameraError::Unavailable("synthetic", "open it through its own room")),
+        }
+    }
+
+    /// The size of the next picture; folders of pictures may change it.
+    pub fn size(&self) -> Size {
+        match self {
+            #[cfg(target_os = "linux")]
+            Source::V4l2(camera) => camera.format().size,
+            Source::Clip(clip) => clip.size(),
+            Source::Trace(trace) => trace.size(),
+        }
+    }
+
+    /// Pictures a second, where known.
+    pub fn fps(&self) -> Option<f64> {
+        match self {
+            #[cfg(target_os = "linux")]
+            Source::V4l2(camera) => camera.fps(),
+            Source::Clip(clip) => Some(clip.fps()),
+            Source::Trace(_) => None,
+        }
+    }
+
+    /// Fills `frame` with the next picture (cameras: the newest; waits up to `timeout`). Unless it returns
+    /// `Grab::Frame`, `frame` keeps its picture. Allocates only to grow, for MJPEG and for picture files.
+    pub fn next(&mut self, frame: &mut Frame, timeout: Duration) -> Result<Grab, CameraError> {
+        match self {
+            #[cfg(target_os = "linux")]
+            Source::V4l2(camera) => camera.next(frame, timeout),
+            Source::Clip(clip) => clip.next(frame),
+            Source::Trace(trace) => trace.next(frame),
+        }
+    }
+
+    /// Whether to keep the raw bytes of the last frame for [`Source::raw`]; Y4M clips and traces always do.
+    pub fn keep_raw(&mut self, keep: bool) {
+        match self {
+            #[cfg(target_os = "linux")]
+            Source::V4l2(camera) => camera.keep_raw(keep),
+            Source::Clip(clip) => clip.keep_raw(keep),
+            Source::Trace(_) => {}
+        }
+    }
+
+    /// The last frame as it was delivered: [`decode`] gives the same luma and color from it.
+    pub fn raw(&self) -> Option<RawRef<'_>> {
+        match self {
+            #[cfg(target_os = "linux")]
+            Source::V4l2(camera) => camera.raw(),
+            Source::Clip(clip) => clip.raw(),
+            Source::Trace(trace) => trace.raw(),
+        }
+    }
+
+    /// What became of the source's frames so far.
+    pub fn stats(&self) -> Stats {
+        match self {
+            #[cfg(target_os = "linux")]
+            Source::V4l2(camera) => camera.stats(),
+            Source::Clip(clip) => clip.stats(),
+            Source::Trace(trace) => trace.stats(),
+        }
+    }
+}

@@ -1,10 +1,37 @@
 //! The tile rasteriser: models before the lens become a `Layer`.
+//!
+//! 1. `vertex`: every vertex to camera space, through the lens to the picture, snapped to 1/256 px, lit (f64).
+//! 2. `clip`: only triangles that cross the near plane, leave the lens's field or bend in it are cut (f64).
+//! 3. `bins`: what covers no pixel center dies; the rest is listed per 64-px tile, chunk by chunk, in
+//!    submission order, without locks.
+//! 4. `raster`: one task a tile walks its lists: exact integer edges, 1/z and attributes of the unsnapped
+//!    triangle, nearest and second-nearest surface in the same pass.
+//! 5. `resolve`: covered tiles are written into the layer; tiles covered last time only are cleared.
+//!
+//! Coverage follows vertices snapped to 1/256 px with the top-left rule; depth and attributes come from the
+//! unsnapped vertices. Equal depths keep the first submitted. The same bytes for every thread count and
+//! SIMD level: chunks and tiles are cut by size alone, and all arithmetic is + - × ÷ sqrt in a fixed order.
+
+mod bins;
+mod clip;
+mod field;
+mod raster;
+mod resolve;
+mod shade;
+mod vertex;
 
 use crate::frame::{Layer, Needs};
 use crate::geometry::Lens;
 use crate::pixels::simd::Level;
+use crate::pixels::{Size, TILE, TileGrid, TileSet};
 use crate::scene::Scene;
+use bins::Chunk;
+use field::Field;
 use glam::DAffine3;
+use raster::Slot;
+use rayon::prelude::*;
+use shade::Surface;
+use vertex::Vertex;
 
 /// The camera as the renderer sees it.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -26,19 +53,198 @@ pub struct Placed {
     pub to_camera: DAffine3,
 }
 
+/// Largest picture side: snapped coordinates of the picture stay far below the guard band.
+const MAX_SIDE: usize = 16384;
+
+/// Triangles in a chunk of small scenes; larger scenes have at most about `MAX_CHUNKS` larger chunks.
+const CHUNK: usize = 512;
+const MAX_CHUNKS: usize = 64;
+
 /// Draws models; owns every buffer it needs, so that drawing allocates nothing after warm-up.
 pub struct Renderer {
+    level: Level,
     layer: Layer,
+    /// What the layer's planes are allocated for.
+    shape: Option<(Size, Needs)>,
+    previous: TileSet,
+    field: Option<Field>,
+    vertices: Vec<Vertex>,
+    instances: Vec<Instance>,
+    surfaces: Vec<Surface>,
+    chunks: Vec<Chunk>,
+    slots: Vec<Slot>,
+    slot_of: Vec<u32>,
+}
+
+/// One placed model of this frame: where its vertices, surfaces and chunks are.
+#[derive(Clone, Copy)]
+struct Instance {
+    placed: Placed,
+    first_vertex: usize,
+    first_surface: usize,
+}
+
+/// What all stages of one `draw` share.
+#[derive(Clone, Copy)]
+struct View<'a> {
+    scene: &'a Scene,
+    camera: &'a Camera,
+    field: &'a Field,
+    grid: TileGrid,
+    instances: &'a [Instance],
+    surfaces: &'a [Surface],
+    vertices: &'a [Vertex],
 }
 
 impl Renderer {
     /// A renderer whose bodies run at `level`.
-    pub fn new(_level: Level) -> Self {
-        Self { layer: Layer::default() }
+    pub fn new(level: Level) -> Self {
+        Self {
+            level,
+            layer: Layer::default(),
+            shape: None,
+            previous: TileSet::default(),
+            field: None,
+            vertices: Vec::new(),
+            instances: Vec::new(),
+            surfaces: Vec::new(),
+            chunks: Vec::new(),
+            slots: Vec::new(),
+            slot_of: Vec::new(),
+        }
     }
 
     /// Draws the placed models: only the products in `needs`, only the tiles they touch.
-    pub fn draw(&mut self, _scene: &Scene, _placed: &[Placed], _camera: &Camera, _needs: Needs) -> &Layer {
+    ///
+    /// Depth comes with color even when it is not asked for, since it is the coverage mask. Equal depths
+    /// keep the fragment submitted first: in the order of `placed`, then of the mesh's triangles. Triangles
+    /// that are not finite, not in range or without area draw nothing; a `placed` whose model does not
+    /// exist, an unusable camera (near ≤ 0, far ≤ near, not finite, picture side above 16384 px) likewise.
+    /// Straight edges that the lens bends are split until they are within `SPLIT_TOLERANCE_PX` of the
+    /// curve. Runs on rayon's current pool.
+    pub fn draw(&mut self, scene: &Scene, placed: &[Placed], camera: &Camera, needs: Needs) -> &Layer {
+        let size = camera.lens.size;
+        let grid = TileGrid::new(size);
+        self.fit(size, needs);
+        std::mem::swap(&mut self.previous, &mut self.layer.touched);
+        self.layer.touched.reset(grid);
+        self.layer.grid = Some(grid);
+        self.slot_of.clear();
+        self.slot_of.resize(grid.count(), u32::MAX);
+        let usable = camera.near > 0.0 && camera.far > camera.near && camera.far.is_finite();
+        let mut used = 0;
+        if usable && needs != Needs::NOTHING && size.area() > 0 && size.width.max(size.height) <= MAX_SIDE {
+            if self.field.as_ref().is_none_or(|field| *field.lens() != camera.lens) {
+                self.field = Some(Field::new(camera.lens));
+            }
+            used = self.rasterise(scene, placed, camera, grid, needs);
+        }
+        for (k, slot) in self.slots[..used].iter().enumerate() {
+            if slot.covered {
+                self.layer.touched.insert(slot.tile);
+                self.slot_of[slot.tile] = k as u32;
+            }
+        }
+        resolve::resolve(self.level, &mut self.layer, grid, &self.slots, &self.slot_of, &self.previous);
         &self.layer
     }
+
+    /// Gives the layer's planes the size that `needs` wants, all background when anything changed.
+    fn fit(&mut self, size: Size, needs: Needs) {
+        if self.shape == Some((size, needs)) {
+            return;
+        }
+        let none = Size::new(0, 0);
+        let when = |wanted: bool| if wanted { size } else { none };
+        let color = when(needs.includes(Needs::COLOR));
+        let depth = when(needs != Needs::NOTHING);
+        let normal = when(needs.includes(Needs::NORMAL));
+        let second = when(needs.includes(Needs::SECOND_LAYER));
+        for plane in &mut self.layer.color.planes {
+            plane.resize(color, 0);
+            plane.fill(0);
+        }
+        for (plane, size) in [(&mut self.layer.depth, depth), (&mut self.layer.depth2, second)] {
+            plane.resize(size, f32::INFINITY);
+            plane.fill(f32::INFINITY);
+        }
+        for (planes, size) in [(&mut self.layer.normal, normal), (&mut self.layer.normal2, second)] {
+            for plane in planes {
+                plane.resize(size, 0.0);
+                plane.fill(0.0);
+            }
+        }
+        let grid = TileGrid::new(size);
+        self.layer.touched.reset(grid);
+        self.previous.reset(grid);
+        let tiles = if size.width.max(size.height) <= MAX_SIDE { grid.count() } else { 0 };
+        self.slots.resize_with(tiles, Slot::default);
+        for slot in &mut self.slots {
+            slot.fit(needs);
+        }
+        self.shape = Some((size, needs));
+    }
+
+    /// Steps 1 to 4; returns how many slots hold tiles.
+    fn rasterise(
+        &mut self,
+        scene: &Scene,
+        placed: &[Placed],
+        camera: &Camera,
+        grid: TileGrid,
+        needs: Needs,
+    ) -> usize {
+        let Self { level, field, vertices, instances, surfaces, chunks, slots, slot_of, .. } = self;
+        let Some(field) = field.as_ref() else { return 0 };
+        instances.clear();
+        surfaces.clear();
+        let (mut vertex_count, mut triangle_count) = (0, 0);
+        for &placed in placed {
+            let Some(model) = scene.models.get(placed.model) else { continue };
+            instances.push(Instance { placed, first_vertex: vertex_count, first_surface: surfaces.len() });
+            Surface::push_all(placed.model, model, &scene.light, surfaces);
+            vertex_count += model.mesh.positions.len();
+            triangle_count += model.mesh.triangles.len();
+        }
+        vertices.resize(vertex_count, Vertex::default());
+        for instance in instances.iter() {
+            let mesh = &scene.models[instance.placed.model].mesh;
+            let out = &mut vertices[instance.first_vertex..][..mesh.positions.len()];
+            vertex::place(mesh, &instance.placed.to_camera, camera, field, &scene.light, needs, out);
+        }
+        let view = View { scene, camera, field, grid, instances, surfaces, vertices };
+
+        let length = CHUNK.max(triangle_count.div_ceil(MAX_CHUNKS));
+        let mut used_chunks = 0;
+        for (k, instance) in view.instances.iter().enumerate() {
+            let triangles = scene.models[instance.placed.model].mesh.triangles.len();
+            for first in (0..triangles).step_by(length) {
+                if used_chunks == chunks.len() {
+                    chunks.push(Chunk::default());
+                }
+                chunks[used_chunks].begin(k, first..triangles.min(first + length), length, grid);
+                used_chunks += 1;
+            }
+        }
+        let chunks = &mut chunks[..used_chunks];
+        chunks.par_iter_mut().with_max_len(1).for_each(|chunk| chunk.fill(&view));
+
+        let mut used = 0;
+        for (tile, seen) in slot_of.iter_mut().enumerate() {
+            *seen = u32::MAX;
+            let (column, row) = (tile % grid.columns(), tile / grid.columns());
+            if chunks.iter().any(|chunk| chunk.reaches(tile, column, row)) {
+                slots[used].tile = tile;
+                used += 1;
+            }
+        }
+        let (level, chunks) = (*level, &*chunks);
+        slots[..used].par_iter_mut().with_max_len(1).for_each(|slot| {
+            raster::draw_tile(level, &view, chunks, slot);
+        });
+        used
+    }
 }
+
+/// Pixels of a slot.
+const TILE_AREA: usize = TILE * TILE;

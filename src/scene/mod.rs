@@ -3,9 +3,15 @@
 //! Comes in: the scene file's tables and model files; goes out: a `Scene` that the plan and the renderer
 //! read. Nothing here knows about pictures or cameras.
 
+mod builtin;
+mod config;
 mod mesh;
+mod obj;
 
+pub use builtin::{BUILTIN, builtin};
+pub use config::{AnchorConfig, LightConfig, ModelConfig, SceneError};
 pub use mesh::{Material, Mesh};
+pub use obj::{Limits, ModelError};
 
 use crate::marker::Family;
 use glam::{DAffine3, DVec3, Vec3};
@@ -41,8 +47,8 @@ pub struct Model {
 pub struct Anchor {
     /// Family of the marker.
     pub family: Family,
-    /// Its number.
-    pub id: u32,
+    /// Its number; `None` = every marker of the family.
+    pub id: Option<u32>,
     /// Printed side of the black border's outer edge, mm.
     pub side_mm: f64,
 }

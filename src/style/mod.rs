@@ -1,9 +1,19 @@
 //! The styles: camera picture and model layer become the canvas.
 //!
-//! One file (or folder) a style, each with its `Config`; `Style` is their contract, `Styler` the dispatch.
+//! One file (or folder) a style, each with its `Config`; [`Style`] is their contract, [`Styler`] the dispatch.
+//! A style keeps its buffers, reads a [`StyleInput`], and writes every pixel of the canvas; it never draws
+//! models (the renderer does) and never looks at markers.
+
+pub mod cartoon;
+pub mod composite;
+mod config;
+pub mod plain;
+
+pub use config::{Config, ConfigError, StyleName};
 
 use crate::frame::{Frame, Layer, Needs};
 use crate::pixels::Rgb;
+use crate::pixels::simd::Level;
 
 /// What a style draws from.
 #[derive(Clone, Copy)]
@@ -20,6 +30,49 @@ pub trait Style {
     /// What it wants from the renderer.
     const NEEDS: Needs;
 
-    /// Draws one frame; `out` has the frame's size.
+    /// Draws one frame; `out` is fitted to the frame's size.
     fn draw(&mut self, input: StyleInput<'_>, out: &mut Rgb);
+}
+
+/// One of the styles, ready to draw.
+pub enum Styler {
+    /// Conventional augmented reality.
+    Plain(plain::Plain),
+    /// The cartoon filter.
+    Cartoon(Box<cartoon::Cartoon>),
+}
+
+impl Styler {
+    /// The style that `config` names, its bodies at `level`. Settings are taken as they are: see
+    /// [`Config::validate`].
+    pub fn new(config: &Config, level: Level) -> Self {
+        match config.name {
+            StyleName::Plain => Styler::Plain(plain::Plain),
+            StyleName::Cartoon => Styler::Cartoon(Box::new(cartoon::Cartoon::new(config.cartoon, level))),
+        }
+    }
+
+    /// Which style this is.
+    pub fn name(&self) -> StyleName {
+        match self {
+            Styler::Plain(_) => StyleName::Plain,
+            Styler::Cartoon(_) => StyleName::Cartoon,
+        }
+    }
+
+    /// What it wants from the renderer.
+    pub fn needs(&self) -> Needs {
+        match self {
+            Styler::Plain(_) => plain::Plain::NEEDS,
+            Styler::Cartoon(_) => cartoon::Cartoon::NEEDS,
+        }
+    }
+
+    /// Draws one frame; `out` is fitted to the frame's size.
+    pub fn draw(&mut self, input: StyleInput<'_>, out: &mut Rgb) {
+        match self {
+            Styler::Plain(style) => style.draw(input, out),
+            Styler::Cartoon(style) => style.draw(input, out),
+        }
+    }
 }

@@ -1,0 +1,86 @@
+//! Interleaved RGB bytes (as decoders and displays keep them) to planes and back.
+
+use crate::pixels::simd::Level;
+use crate::pixels::{Rgb, Size};
+use fearless_simd::{Simd, dispatch};
+use rayon::prelude::*;
+
+/// Splits rows of R, G, B bytes into `picture`, which is fitted to `size`. `bytes` holds `3 * size.area()`
+/// bytes; nothing happens when it is shorter.
+pub fn split(level: Level, bytes: &[u8], size: Size, picture: &mut Rgb) {
+    picture.resize(size);
+    if bytes.len() < 3 * size.area() || size.area() == 0 {
+        return;
+    }
+    let rows = super::band_rows(size.height, 8);
+    let [r, g, b] = &mut picture.planes;
+    let bands = r.view_mut().par_bands(rows).zip(g.view_mut().par_bands(rows));
+    bands.zip(b.view_mut().par_bands(rows)).for_each(|(((first, mut r), (_, mut g)), (_, mut b))| {
+        for y in 0..r.size().height {
+            let from = &bytes[(first + y) * size.width * 3..][..size.width * 3];
+            let (r, g, b) = (r.row_mut(y), g.row_mut(y), b.row_mut(y));
+            dispatch!(level, simd => split_row(simd, from, r, g, b));
+        }
+    });
+}
+
+#[inline(always)]
+fn split_row<S: Simd>(_simd: S, from: &[u8], r: &mut [u8], g: &mut [u8], b: &mut [u8]) {
+    for (((from, r), g), b) in from.as_chunks::<3>().0.iter().zip(r).zip(g).zip(b) {
+        [*r, *g, *b] = *from;
+    }
+}
+
+/// Joins `picture` into rows of R, G, B bytes. `bytes` holds `3 * area` bytes; nothing happens when it is
+/// shorter.
+pub fn join(level: Level, picture: &Rgb, bytes: &mut [u8]) {
+    let size = picture.size();
+    if bytes.len() < 3 * size.area() || size.area() == 0 {
+        return;
+    }
+    let rows = super::band_rows(size.height, 8);
+    bytes[..3 * size.area()].par_chunks_mut(3 * size.width * rows).enumerate().for_each(|(band, bytes)| {
+        for (y, to) in bytes.chunks_mut(3 * size.width).enumerate() {
+            let [r, g, b] = [0, 1, 2].map(|c| picture.planes[c].row(band * rows + y));
+            dispatch!(level, simd => join_row(simd, r, g, b, to));
+        }
+    });
+}
+
+#[inline(always)]
+fn join_row<S: Simd>(_simd: S, r: &[u8], g: &[u8], b: &[u8], to: &mut [u8]) {
+    for (((to, &r), &g), &b) in to.as_chunks_mut::<3>().0.iter_mut().zip(r).zip(g).zip(b) {
+        *to = [r, g, b];
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::kernel::sweep;
+    use crate::pixels::Plane;
+
+    #[test]
+    fn there_and_back_is_exact() {
+        for case in sweep::cases() {
+            let size = case.plane.size();
+            let turned = Plane::from_fn(size, |x, y| case.plane.at(size.width - 1 - x, y));
+            let picture = Rgb { planes: [case.plane.clone(), turned, case.plane] };
+            let bytes = sweep::everywhere(&case.label, |level| {
+                let mut bytes = vec![0; size.area() * 3];
+                join(level, &picture, &mut bytes);
+                bytes
+            });
+            for i in 0..size.area() {
+                let color = picture.at(i % size.width, i / size.width);
+                assert_eq!(bytes[3 * i..3 * i + 3], color, "{}: pixel {i}", case.label);
+            }
+            let back = sweep::everywhere(&case.label, |level| {
+                let mut back = Rgb::default();
+                split(level, &bytes, size, &mut back);
+                back
+            });
+            assert_eq!(back, picture, "{}", case.label);
+        }
+    }
+}

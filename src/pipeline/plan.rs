@@ -1,0 +1,158 @@
+//! What a frame needs: a pure function of the scene, the style and what is seen.
+//!
+//! Nothing is computed that the scene does not need. The plan decides it in one place, is cheap enough to be
+//! made anew every frame, and can say what it skipped and why.
+
+use crate::frame::Needs;
+use crate::scene::Scene;
+use std::fmt;
+
+/// Whether a stage runs, and why.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Step {
+    /// Whether it runs.
+    pub runs: bool,
+    /// The reason, for people.
+    pub why: &'static str,
+}
+
+impl Step {
+    const fn run(why: &'static str) -> Self {
+        Self { runs: true, why }
+    }
+
+    const fn skip(why: &'static str) -> Self {
+        Self { runs: false, why }
+    }
+}
+
+/// What one frame computes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Plan {
+    /// Search the frame for markers.
+    pub track: Step,
+    /// Draw the models.
+    pub render: Step,
+    /// What the renderer must deliver.
+    pub needs: Needs,
+    /// Normals per pixel.
+    pub normal: Step,
+    /// The second-nearest surface.
+    pub second_layer: Step,
+    /// Filter the picture.
+    pub style: Step,
+}
+
+/// What is known to be in view when a plan is made.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum View {
+    /// Tracking has not run yet.
+    Unknown,
+    /// This many models have a pose.
+    Models(usize),
+}
+
+impl Plan {
+    /// The plan for a frame of `scene`, drawn by a style that wants `needs` of the renderer and changes the
+    /// picture itself when `filters`, with `view` in sight.
+    pub fn new(scene: &Scene, needs: Needs, filters: bool, view: View) -> Self {
+        let wants_layer = needs != Needs::NOTHING;
+        let track = match (scene.models.is_empty(), wants_layer) {
+            (true, _) => Step::skip("the scene has no model on any marker"),
+            (false, false) => Step::skip("the style draws no models"),
+            (false, true) => Step::run("models stand on markers"),
+        };
+        let render = match (track.runs, view) {
+            (false, _) => Step::skip(track.why),
+            (true, View::Models(0)) => Step::skip("no marker of the scene is in view"),
+            (true, View::Models(_)) => Step::run("a marker with a model is in view"),
+            (true, View::Unknown) => Step::run("where a marker with a model is in view"),
+        };
+        let part =
+            |wanted: Needs, why: &'static str, not: &'static str| match (render.runs, needs.includes(wanted))
+            {
+                (true, true) => Step::run(why),
+                (true, false) => Step::skip(not),
+                (false, _) => Step::skip(render.why),
+            };
+        Plan {
+            track,
+            render,
+            needs: if render.runs { needs } else { Needs::NOTHING },
+            normal: part(Needs::NORMAL, "the style reads normals", "the style reads no normals"),
+            second_layer: part(
+                Needs::SECOND_LAYER,
+                "the style looks through the first surface",
+                "the style draws the nearest surface only",
+            ),
+            style: if filters {
+                Step::run("the style filters the whole picture")
+            } else {
+                Step::skip("the style shows the camera picture as it is, models over it")
+            },
+        }
+    }
+}
+
+impl fmt::Display for Plan {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let steps = [
+            ("track markers", self.track),
+            ("draw models", self.render),
+            ("  normals", self.normal),
+            ("  second layer", self.second_layer),
+            ("filter picture", self.style),
+        ];
+        for (name, step) in steps {
+            let does = if step.runs { "runs" } else { "skipped" };
+            writeln!(f, "{name:<16} {does:<8} {}", step.why)?;
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::marker::Family;
+    use crate::scene::{Anchor, Mesh, Model, Shading};
+    use glam::DAffine3;
+
+    fn scene(models: usize) -> Scene {
+        let model = Model {
+            name: "cube".into(),
+            mesh: Mesh::default(),
+            anchor: Anchor { family: Family::Tag36h11, id: None, side_mm: 80.0 },
+            to_marker: DAffine3::IDENTITY,
+            shading: Shading::Smooth,
+            cull_back: false,
+        };
+        Scene { models: vec![model; models], ..Scene::default() }
+    }
+
+    #[test]
+    fn what_runs_for_every_kind_of_frame() {
+        let color = Needs::COLOR;
+        let both = Needs::COLOR.and(Needs::NORMAL).and(Needs::SECOND_LAYER);
+        // models in scene, needs, view → track, render, normal, second layer
+        let table = [
+            (0, color, View::Unknown, [false, false, false, false]),
+            (1, Needs::NOTHING, View::Unknown, [false, false, false, false]),
+            (1, color, View::Unknown, [true, true, false, false]),
+            (1, color, View::Models(0), [true, false, false, false]),
+            (2, color, View::Models(1), [true, true, false, false]),
+            (1, both, View::Models(1), [true, true, true, true]),
+            (1, both, View::Models(0), [true, false, false, false]),
+        ];
+        for (models, needs, view, expected) in table {
+            let plan = Plan::new(&scene(models), needs, true, view);
+            let got = [plan.track.runs, plan.render.runs, plan.normal.runs, plan.second_layer.runs];
+            assert_eq!(got, expected, "{models} models, {needs:?}, {view:?}");
+            assert_eq!(
+                plan.needs == Needs::NOTHING,
+                !plan.render.runs,
+                "nothing is asked of an idle renderer"
+            );
+        }
+    }
+}

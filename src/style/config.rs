@@ -1,0 +1,194 @@
+//! Settings of all styles: what the scene file's `[style]` table and `--set key=value` reach.
+
+use super::cartoon;
+use serde::{Deserialize, Serialize};
+
+/// The styles by name.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize, clap::ValueEnum)]
+#[serde(rename_all = "kebab-case")]
+pub enum StyleName {
+    /// Conventional augmented reality: the models over the camera picture.
+    Plain,
+    /// Flat colors and black outlines from one filter over the whole augmented picture.
+    #[default]
+    Cartoon,
+}
+
+impl StyleName {
+    /// The name as typed and written in files.
+    pub fn name(self) -> &'static str {
+        match self {
+            StyleName::Plain => "plain",
+            StyleName::Cartoon => "cartoon",
+        }
+    }
+}
+
+impl std::fmt::Display for StyleName {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+/// Which style is drawn, and each style's settings.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Config {
+    /// The style to draw: "plain" or "cartoon". Default "cartoon".
+    pub name: StyleName,
+    /// Settings of the cartoon style.
+    pub cartoon: cartoon::Config,
+}
+
+/// Why a style setting is refused.
+#[derive(Debug, thiserror::Error, PartialEq)]
+pub enum ConfigError {
+    /// The style has no such setting.
+    #[error("style {style} has no setting {key:?}; did you mean {nearest:?}? (it has: {all})")]
+    UnknownKey {
+        /// The style.
+        style: StyleName,
+        /// What was asked for.
+        key: String,
+        /// The setting with the most similar name.
+        nearest: String,
+        /// All its settings.
+        all: String,
+    },
+    /// The style has no settings at all.
+    #[error("style {style} has no settings, so {key:?} cannot be set")]
+    NoSettings {
+        /// The style.
+        style: StyleName,
+        /// What was asked for.
+        key: String,
+    },
+    /// The value is not of the setting's kind.
+    #[error("style {style}: {key} = {value:?} does not fit: {reason}")]
+    Kind {
+        /// The style.
+        style: StyleName,
+        /// The setting.
+        key: String,
+        /// What was given.
+        value: String,
+        /// What is expected.
+        reason: String,
+    },
+    /// The value is outside its range.
+    #[error("style {style}: {key} = {value} is out of range: {expected}")]
+    Range {
+        /// The style.
+        style: StyleName,
+        /// The setting.
+        key: &'static str,
+        /// What was given.
+        value: f64,
+        /// The allowed range.
+        expected: &'static str,
+    },
+}
+
+impl Config {
+    /// Checks every setting of every style against its range.
+    pub fn validate(&self) -> Result<(), ConfigError> {
+        self.cartoon.validate()
+    }
+
+    /// Sets one setting of the named style from text, as `--set key=value` does.
+    pub fn set(&mut self, key: &str, value: &str) -> Result<(), ConfigError> {
+        match self.name {
+            StyleName::Plain => Err(ConfigError::NoSettings { style: self.name, key: key.into() }),
+            StyleName::Cartoon => {
+                self.cartoon = edited(self.name, &self.cartoon, key, value)?;
+                self.cartoon.validate()
+            }
+        }
+    }
+}
+
+/// `settings` with `key` set to `value`, by way of the same serde form that files use.
+fn edited<T>(style: StyleName, settings: &T, key: &str, value: &str) -> Result<T, ConfigError>
+where
+    T: Serialize + serde::de::DeserializeOwned,
+{
+    let kind = |reason: String| ConfigError::Kind { style, key: key.into(), value: value.into(), reason };
+    let mut table = toml::Table::try_from(settings).map_err(|e| kind(e.to_string()))?;
+    if !table.contains_key(key) {
+        let nearest = table.keys().min_by_key(|known| distance(known, key)).cloned().unwrap_or_default();
+        let all = table.keys().cloned().collect::<Vec<_>>().join(" ");
+        return Err(ConfigError::UnknownKey { style, key: key.into(), nearest, all });
+    }
+    table.insert(key.into(), parsed(value));
+    table.try_into().map_err(|e: toml::de::Error| kind(e.message().to_string()))
+}
+
+/// A number or a truth value where the text reads as one, else the text itself.
+fn parsed(value: &str) -> toml::Value {
+    if let Ok(number) = value.parse::<i64>() {
+        toml::Value::Integer(number)
+    } else if let Ok(number) = value.parse::<f64>() {
+        toml::Value::Float(number)
+    } else if let Ok(truth) = value.parse::<bool>() {
+        toml::Value::Boolean(truth)
+    } else {
+        toml::Value::String(value.into())
+    }
+}
+
+/// Levenshtein distance.
+fn distance(a: &str, b: &str) -> usize {
+    let b: Vec<char> = b.chars().collect();
+    let mut row: Vec<usize> = (0..=b.len()).collect();
+    for (i, ca) in a.chars().enumerate() {
+        let mut diagonal = std::mem::replace(&mut row[0], i + 1);
+        for (j, &cb) in b.iter().enumerate() {
+            let change = diagonal + usize::from(ca != cb);
+            diagonal = row[j + 1];
+            row[j + 1] = change.min(row[j] + 1).min(diagonal + 1);
+        }
+    }
+    row[b.len()]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn settings_are_reached_by_name() {
+        let mut config = Config::default();
+        config.set("sigma_p", ".05").expect("a number");
+        config.set("steps", "3").expect("an integer");
+        config.set("alpha", "1").expect("an integer is a number");
+        assert_eq!((config.cartoon.sigma_p, config.cartoon.steps, config.cartoon.alpha), (0.05, 3, 1.0));
+        let file: Config = toml::from_str("name = 'cartoon'\n[cartoon]\nsigma_p = 0.05\nsteps = 3\nalpha = 1")
+            .expect("the same in a file");
+        assert_eq!(file, config);
+    }
+
+    #[test]
+    fn refusals_name_the_setting() {
+        let mut config = Config::default();
+        let error = config.set("sigmap", "1").expect_err("no such key").to_string();
+        assert!(error.contains("\"sigma_p\""), "{error}");
+        for (key, value) in [("steps", "many"), ("steps", "-1"), ("alpha", "1.5"), ("sigma_p", "0"), ("s0", "nan")] {
+            let error = Config::default().set(key, value).expect_err(value).to_string();
+            assert!(error.contains(key), "{error}");
+        }
+        let error = Config::default().set("s0", "0.5").expect_err("s0 >= s1").to_string();
+        assert!(error.contains("s1"), "{error}");
+        config.name = StyleName::Plain;
+        assert!(config.set("alpha", "1").expect_err("plain").to_string().contains("no settings"));
+        assert!(toml::from_str::<Config>("nme = 'plain'").is_err());
+    }
+
+    #[test]
+    fn names_agree_everywhere() {
+        use clap::ValueEnum;
+        for &style in StyleName::value_variants() {
+            assert_eq!(style.to_possible_value().expect("not hidden").get_name(), style.name());
+            assert_eq!(toml::Value::try_from(style).expect("a string").as_str(), Some(style.name()));
+        }
+    }
+}

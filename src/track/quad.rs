@@ -1,0 +1,206 @@
+//! Contour → quadrilateral in ideal pixels, or a refusal.
+//!
+//! The farthest point of a convex outline is a corner, and so is the farthest from that one and the farthest
+//! on either side of the line between the two: four corners in three passes. Then lines are fitted to the
+//! points between corners (total least squares), intersected, and the points shared out again. What is not a
+//! quadrilateral leaves large residuals or the wrong area and is dropped.
+
+use super::contour::Crack;
+use super::rectify::Rectify;
+use glam::DVec2;
+
+/// A convex quadrilateral in ideal pixels, corners clockwise as seen.
+pub type Quad = [DVec2; 4];
+
+/// Least length of a side, px.
+pub const LEAST_SIDE_PX: f64 = 5.0;
+
+/// The quadrilateral whose outline the contour is; `None` when it is none. `area`: enclosed px².
+pub fn fit(contour: &[Crack], area: i64, rectify: &Rectify) -> Option<Quad> {
+    let count = contour.len();
+    if count < 16 {
+        return None;
+    }
+    let at = |i: usize| {
+        let [x, y] = contour[i % count];
+        rectify.ideal(DVec2::new(f64::from(x), f64::from(y)) * 0.5)
+    };
+    let farthest_from = |p: DVec2| farthest(0..count, |i| (at(i) - p).length_squared());
+    let (a, _) = farthest_from(at(farthest_from(at(0))?.0))?;
+    let (b, span) = farthest_from(at(a))?;
+    let (a, b) = (a.min(b), a.max(b));
+    let across = |from: usize, to: usize, sign: f64| {
+        let (origin, along) = (at(from), at(to) - at(from));
+        farthest(from + 1..to, |i| sign * along.perp_dot(at(i) - origin))
+            .map(|(i, d)| (i, d / along.length()))
+    };
+    // clockwise with y down: the outline's points lie left of each chord, where perp_dot is negative
+    let (c, far_c) = across(a, b, -1.0)?;
+    let (d, far_d) = across(b, a + count, -1.0)?;
+    let (least, most) = (far_c.min(far_d), far_c.max(far_d));
+    let mut corners = if least > 0.12 * most || least > 0.1 * span.sqrt() {
+        [a, c, b, d]
+    } else {
+        // a and b share a side: both other corners lie on one chain
+        let (from, tip, to) = if far_c > far_d { (a, c, b) } else { (b, d, a + count) };
+        let (e, far_e) = across(from, tip, -1.0)?;
+        let (f, far_f) = across(tip, to, -1.0)?;
+        if far_e > far_f { [from, e, tip, to] } else { [from, tip, f, to] }
+    };
+    corners.iter_mut().for_each(|i| *i %= count);
+    corners.sort_unstable();
+
+    let mut quad = [DVec2::ZERO; 4];
+    for pass in 0..3 {
+        let mut lines = [Line::default(); 4];
+        for (side, line) in lines.iter_mut().enumerate() {
+            let from = corners[side];
+            let to = if side == 3 { corners[0] + count } else { corners[side + 1] };
+            // noise and blur round the corners
+            let margin = ((to - from) / 8).clamp(1, 6);
+            if to < from + 2 * margin + 3 {
+                return None;
+            }
+            *line = Line::through((from + margin..=to - margin).map(at))?;
+            if pass > 0 {
+                // dents and bumps: once more without the points far off
+                let old = *line;
+                let reach = (2.0 * old.rms).max(0.7);
+                let near = (from + margin..=to - margin).map(at).filter(|&p| old.distance(p).abs() <= reach);
+                *line = Line::through(near)?;
+                let length = (at(to) - at(from)).length();
+                if line.rms > 0.7 + 0.005 * length {
+                    return None;
+                }
+            }
+        }
+        for side in 0..4 {
+            quad[(side + 1) % 4] = lines[side].intersection(&lines[(side + 1) % 4])?;
+        }
+        if pass < 2 {
+            for (corner, index) in quad.iter().zip(&mut corners) {
+                *index = nearest(*index, count, |i| (at(i) - *corner).length_squared());
+            }
+            if !(corners.windows(2).all(|pair| pair[0] < pair[1])) {
+                corners.sort_unstable();
+            }
+        }
+    }
+    (is_convex(&quad) && fits_area(&quad, area as f64)).then_some(quad)
+}
+
+/// Whether the corners are finite, clockwise as seen, and no side is shorter than `LEAST_SIDE_PX`.
+pub fn is_convex(quad: &Quad) -> bool {
+    (0..4).all(|i| {
+        let (p, q, r) = (quad[i], quad[(i + 1) % 4], quad[(i + 2) % 4]);
+        let (side, next) = (q - p, r - q);
+        side.length() >= LEAST_SIDE_PX && side.perp_dot(next) > 0.05 * side.length() * next.length()
+    })
+}
+
+/// Area of the quadrilateral, px² (positive when clockwise as seen).
+pub fn area(quad: &Quad) -> f64 {
+    0.5 * (quad[2] - quad[0]).perp_dot(quad[3] - quad[1])
+}
+
+/// Distortion changes areas a little; dents and flags change them much.
+fn fits_area(quad: &Quad, contour: f64) -> bool {
+    let ratio = area(quad) / contour;
+    (0.75..=1.35).contains(&ratio)
+}
+
+/// The index of the greatest value, the first of equals; `None` for an empty range or values that are NaN.
+fn farthest(range: std::ops::Range<usize>, value: impl Fn(usize) -> f64) -> Option<(usize, f64)> {
+    let mut best = None;
+    let mut most = f64::NEG_INFINITY;
+    for i in range {
+        let v = value(i);
+        if v > most {
+            (best, most) = (Some(i), v);
+        }
+    }
+    best.map(|i| (i, most))
+}
+
+/// The contour index of least value near `start`: the corner moved by a few points, so a walk downhill finds it.
+fn nearest(start: usize, count: usize, value: impl Fn(usize) -> f64) -> usize {
+    let mut best = (start, value(start));
+    for offset in 1..=12 {
+        for i in [(start + offset) % count, (start + count - offset % count) % count] {
+            let v = value(i);
+            if v < best.1 {
+                best = (i, v);
+            }
+        }
+    }
+    best.0
+}
+
+/// A line with unit normal: normal · p = offset.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Line {
+    /// Unit normal.
+    pub normal: DVec2,
+    /// Distance of the line from the origin along the normal.
+    pub offset: f64,
+    /// Root mean square distance of the fitted points, px.
+    pub rms: f64,
+}
+
+impl Line {
+    /// Total least squares through points; `None` for fewer than 3 or when something is not finite.
+    pub fn through(points: impl Iterator<Item = DVec2>) -> Option<Self> {
+        Self::weighted(points.map(|p| (p, 1.0)))
+    }
+
+    /// The same with weights.
+    pub fn weighted(points: impl Iterator<Item = (DVec2, f64)>) -> Option<Self> {
+        let (mut count, mut n, mut s, mut origin) = (0, 0.0, DVec2::ZERO, DVec2::ZERO);
+        let (mut xx, mut xy, mut yy) = (0.0, 0.0, 0.0);
+        for (p, weight) in points {
+            if count == 0 {
+                origin = p;
+            }
+            // relative to the first point the squares stay small
+            let p = p - origin;
+            count += 1;
+            n += weight;
+            s += p * weight;
+            xx += p.x * p.x * weight;
+            xy += p.x * p.y * weight;
+            yy += p.y * p.y * weight;
+        }
+        if count < 3 || n <= 0.0 {
+            return None;
+        }
+        let mean = s / n;
+        let (xx, xy, yy) = (xx / n - mean.x * mean.x, xy / n - mean.x * mean.y, yy / n - mean.y * mean.y);
+        // smallest eigenvalue of the scatter and its vector
+        let half = (xx - yy) * 0.5;
+        let root = (half * half + xy * xy).sqrt();
+        let least = ((xx + yy) * 0.5 - root).max(0.0);
+        let along = if half >= 0.0 { DVec2::new(half + root, xy) } else { DVec2::new(xy, root - half) };
+        let length = along.length();
+        if !(length > 1e-12 && length.is_finite()) {
+            return None;
+        }
+        let normal = DVec2::new(-along.y, along.x) / length;
+        Some(Self { normal, offset: normal.dot(mean + origin), rms: least.sqrt() })
+    }
+
+    /// Signed distance of a point.
+    pub fn distance(&self, p: DVec2) -> f64 {
+        self.normal.dot(p) - self.offset
+    }
+
+    /// Where two lines meet; `None` when they are nearly parallel.
+    pub fn intersection(&self, other: &Line) -> Option<DVec2> {
+        let det = self.normal.perp_dot(other.normal);
+        if det.is_nan() || det.abs() < 0.02 {
+            return None;
+        }
+        let x = self.offset * other.normal.y - other.offset * self.normal.y;
+        let y = other.offset * self.normal.x - self.offset * other.normal.x;
+        Some(DVec2::new(x, y) / det)
+    }
+}

@@ -1,0 +1,81 @@
+//! Nothing is allocated in the frame loop after warm-up: counted, for every style.
+//!
+//! The counter is the process's global allocator, so this test has a binary of its own.
+
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::sync::atomic::{AtomicU64, Ordering};
+use vernissage::camera::{Synthetic, SyntheticConfig};
+use vernissage::display::Sink;
+use vernissage::frame::Frame;
+use vernissage::marker::Family;
+use vernissage::pipeline::Pipeline;
+use vernissage::pixels::{Size, simd};
+use vernissage::scene::{AnchorConfig, LightConfig, ModelConfig, Scene};
+use vernissage::style::{self, StyleName};
+
+struct Counting;
+
+static ALLOCATIONS: AtomicU64 = AtomicU64::new(0);
+
+// SAFETY: every call goes to the system allocator unchanged; counting touches no memory it hands out.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        ALLOCATIONS.fetch_add(1, Ordering::Relaxed);
+        // SAFETY: the caller's promise is passed on.
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn dealloc(&self, at: *mut u8, layout: Layout) {
+        // SAFETY: the caller's promise is passed on.
+        unsafe { System.dealloc(at, layout) }
+    }
+
+    unsafe fn realloc(&self, at: *mut u8, layout: Layout, size: usize) -> *mut u8 {
+        ALLOCATIONS.fetch_add(1, Ordering::Relaxed);
+        // SAFETY: the caller's promise is passed on.
+        unsafe { System.realloc(at, layout, size) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+fn teapot() -> Scene {
+    let text = "file = \"teapot\"\nmarker = { id = 7 }\n";
+    let model: ModelConfig = toml::from_str(text).expect("a valid model table");
+    assert!(matches!(model.marker, AnchorConfig { family: Family::Tag36h11, id: Some(7), .. }));
+    Scene::build(&[model], &LightConfig::default(), std::path::Path::new(".")).expect("the built-in teapot")
+}
+
+#[test]
+fn three_hundred_frames_allocate_nothing_in_any_style() {
+    let size = Size::new(320, 240);
+    let settings = SyntheticConfig { samples: 1, pace: 3.0, ..SyntheticConfig::default() };
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(2).build().expect("a pool");
+    pool.install(|| {
+        for &name in StyleName::ALL {
+            let style = style::Config { name, ..style::Config::default() };
+            let mut camera = Synthetic::new(&settings, size, 30.0, simd::best());
+            let mut pipeline =
+                Pipeline::new(teapot(), camera.lens(), Default::default(), &style, simd::best());
+            let mut sink = Sink::Null;
+            let mut frame = Frame::default();
+            let mut before = 0;
+            let mut seen = 0;
+            // warm-up: as long as it takes to see the whole path once, so that every buffer has its size
+            for number in 0..600 {
+                if number == 300 {
+                    before = ALLOCATIONS.load(Ordering::Relaxed);
+                    seen = 0;
+                }
+                assert!(camera.next(&mut frame));
+                let drawn = pipeline.draw_frame(&frame);
+                seen += usize::from(drawn.models == 1);
+                sink.present(drawn.canvas).expect("nowhere takes everything");
+            }
+            let allocated = ALLOCATIONS.load(Ordering::Relaxed) - before;
+            assert!(seen > 285, "{name}: the teapot was drawn in only {seen} of 300 frames");
+            assert_eq!(allocated, 0, "{name}: {allocated} allocations in 300 frames");
+        }
+    });
+}
