@@ -12,7 +12,7 @@ shift
 mkdir -p "$dir/host"
 cd "$dir" # socket paths have a length limit
 rm -f monitor.sock
-exec qemu-system-aarch64 -M virt -cpu cortex-a72 -accel tcg -smp 2 -m 1024 -display none -no-reboot \
+exec qemu-system-aarch64 -M virt -cpu cortex-a72 -accel tcg -smp 2 -m 1024 -display none -nic none -no-reboot \
   -kernel vmlinuz -initrd initrd.gz -append "console=ttyAMA0 panic=-1 quiet" \
   -device virtio-gpu-pci,xres=640,yres=480 \
   -virtfs local,path=host,mount_tag=host,security_model=none \
