@@ -15,6 +15,7 @@ Prints PASS or FAIL lines; exit code 1 when anything failed.
 """
 
 import argparse
+import functools
 import json
 import os
 import re
@@ -72,7 +73,7 @@ cp /tmp/trace.bin /host/trace.bin
 
 CLOCK = """
 echo BOARD: run
-vernissage demo --frames 6 --threads 1 --out /tmp/demo > /host/clock.txt 2> /host/clock.err
+vernissage demo --frames 4 --threads 1 --out /tmp/demo > /host/clock.txt 2> /host/clock.err
 echo BOARD: ran $?
 """
 
@@ -272,12 +273,12 @@ def loop(host, folder, frames):
         if not check(board.wait_for("run", 90), "board: boots and its camera is fed"):
             return
         note(f"{time.monotonic() - booted:.1f} s to the program's start")
-        end = time.monotonic() + 150
+        end = time.monotonic() + 240
         while board.said("ran") is None and time.monotonic() < end and board.process.poll() is None:
             path = folder / "screen" / f"{len(dumps):03}.ppm"
             board.command(f"screendump {path}")
             dumps.append(path)
-            time.sleep(0.3)
+            time.sleep(1.5)
         finished = board.wait_for("ran", 1)
     except OSError as error:
         finished = check(False, f"board: monitor: {error}")
@@ -312,11 +313,12 @@ def compare_screen(folder, dumps):
     # undoing PNG filters is slow here: few rows name the candidates, which are then compared whole
     some = 12
     starts = [read_png(path, some)[2] for path in files]
+    whole = functools.cache(read_png)
     order = []
     for screen in filter(None, (read_ppm(path) for path in dumps if path.exists())):
         start = screen[2][:some * WIDTH * 3]
         candidates = [index for index, known in enumerate(starts) if known == start]
-        order.append(next((index for index in candidates if read_png(files[index]) == screen), None))
+        order.append(next((index for index in candidates if whole(files[index]) == screen), None))
     # before the first frame and after the last the screen is the console's or black
     while order and order[0] is None:
         order.pop(0)
