@@ -317,8 +317,10 @@ def compare_screen(folder, dumps):
     order = []
     for screen in filter(None, (read_ppm(path) for path in dumps if path.exists())):
         start = screen[2][:some * WIDTH * 3]
-        candidates = [index for index, known in enumerate(starts) if known == start]
-        order.append(next((index for index in candidates if whole(files[index]) == screen), None))
+        matches = [i for i, known in enumerate(starts) if known == start and whole(files[i]) == screen]
+        # the clip comes round again: of equal pictures the first that is not before the last one seen
+        last = next((index for index in reversed(order) if index is not None), 0)
+        order.append(min(matches, key=lambda index: (index < last, index), default=None))
     # before the first frame and after the last the screen is the console's or black
     while order and order[0] is None:
         order.pop(0)
