@@ -19,7 +19,7 @@ use vernissage::scene::{Anchor, Light, Material, Mesh, Model, Scene, Shading, bu
 pub const EVERYTHING: Needs = Needs::COLOR.and(Needs::DEPTH).and(Needs::NORMAL).and(Needs::SECOND_LAYER);
 
 pub fn scene(mesh: Mesh, shading: Shading, cull_back: bool) -> Scene {
-    let anchor = Anchor { family: Family::Tag36h11, id: 0, side_mm: 100.0 };
+    let anchor = Anchor { family: Family::Tag36h11, id: None, side_mm: 100.0 };
     let to_marker = DAffine3::IDENTITY;
     let model = Model { name: "test".into(), mesh, anchor, to_marker, shading, cull_back };
     Scene { models: vec![model], light: Light::default() }
@@ -181,7 +181,7 @@ fn triangle_soups_match_the_reference() {
 
 #[test]
 fn a_floor_from_the_feet_to_the_horizon_keeps_its_depth() {
-    let mut mesh = Mesh::quad(4e4, 4e4, Material::plain(Vec3::ONE));
+    let mut mesh = Mesh::quad(Vec3::ZERO, Vec3::X * 2e4, Vec3::Y * 2e4, Material::plain(Vec3::ONE));
     mesh.materials.clear();
     mesh.material_of.clear();
     let lying = DAffine3 { matrix3: DMat3::from_rotation_x(1.5), translation: DVec3::new(3.0, 15.0, 90.0) };
@@ -248,8 +248,16 @@ fn a_rectangle_bends_with_the_lens() {
         ("past its edges", 2000.0, 1400.0, 0.9, 700.0),
         ("through the near plane", 3000.0, 3000.0, 1.3, 400.0),
     ] {
-        let mut scene =
-            scene(Mesh::quad(width, height, Material::textured(gradient.clone())), Shading::Flat, false);
+        let mut scene = scene(
+            Mesh::quad(
+                Vec3::ZERO,
+                Vec3::X * width / 2.0,
+                Vec3::Y * height / 2.0,
+                Material::textured(gradient.clone()),
+            ),
+            Shading::Flat,
+            false,
+        );
         scene.light.ambient = 1.0;
         let matrix3 = DMat3::from_rotation_x(std::f64::consts::PI - tilt) * DMat3::from_rotation_z(0.1);
         let to_camera = DAffine3 { matrix3, translation: DVec3::new(5.0, 8.0, z) };
@@ -347,7 +355,11 @@ fn every_level_and_thread_count_gives_the_same_bytes() {
     let texture = Arc::new(Rgb {
         planes: [0, 1, 2].map(|_| Plane::from_fn(Size::new(13, 7), |_, _| rng.next_u64() as u8)),
     });
-    let mut quad = scene(Mesh::quad(900.0, 900.0, Material::textured(texture)), Shading::Smooth, false);
+    let mut quad = scene(
+        Mesh::quad(Vec3::ZERO, Vec3::X * 450.0, Vec3::Y * 450.0, Material::textured(texture)),
+        Shading::Smooth,
+        false,
+    );
     quad.light.ambient = 0.3;
     let mut tilted = turned(500.0, 1.0);
     tilted.model = 0;
