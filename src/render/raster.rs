@@ -25,7 +25,7 @@ pub(super) struct Slot {
     /// 1/z of the nearest surface, 0 where there is none.
     pub w: Vec<f32>,
     /// Its color, red in the lowest byte; unspecified where there is none.
-    pub color: Vec<u32>,
+    pub color: Vec<i32>,
     /// Its normal, not of unit length.
     pub normal: [Vec<f32>; 3],
     /// 1/z of the second-nearest surface.
@@ -167,6 +167,19 @@ impl Edges {
     }
 }
 
+impl Edges {
+    /// The values some pixels to the right of and below the area's first run.
+    #[inline(always)]
+    fn at(&self, across: i64, along: i64) -> [i64; 3] {
+        let [a, b, c] = self.start;
+        [
+            a + self.right[0] * across + self.down[0] * along,
+            b + self.right[1] * across + self.down[1] * along,
+            c + self.right[2] * across + self.down[2] * along,
+        ]
+    }
+}
+
 /// Linear in x and y over the tile: value at the tile's first pixel center and steps.
 #[derive(Clone, Copy)]
 struct Slope {
@@ -230,9 +243,10 @@ fn draw_triangle<S: Simd>(
     let (color, normals, second) = (!slot.color.is_empty(), !slot.normal[0].is_empty(), !slot.w2.is_empty());
 
     let lanes = f32x8::simd_from(simd, [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0]);
-    let step = |slope: &Slope| lanes * f32x8::splat(simd, slope.right as f32);
-    let (l1_step, l2_step, w_step) = (step(&l1), step(&l2), step(&w));
-    let zero = f32x8::splat(simd, 0.0);
+    // no closures over vectors: one that is not inlined would run without the level's instructions
+    let l1_step = lanes * f32x8::splat(simd, l1.right as f32);
+    let l2_step = lanes * f32x8::splat(simd, l2.right as f32);
+    let w_step = lanes * f32x8::splat(simd, w.right as f32);
     let far = f32x8::splat(simd, far);
     // snapping moves a covered center at most .003 px out of the triangle; slivers must not turn that into
     // any depth at all
@@ -253,19 +267,23 @@ fn draw_triangle<S: Simd>(
     };
 
     let ramp = i32x8::simd_from(simd, [0, 1, 2, 3, 4, 5, 6, 7]);
-    let narrow = edges.right.map(|v| v as i32);
-    let e_step = narrow.map(|v| ramp * i32x8::splat(simd, v));
+    let e_step = [
+        ramp * i32x8::splat(simd, edges.right[0] as i32),
+        ramp * i32x8::splat(simd, edges.right[1] as i32),
+        ramp * i32x8::splat(simd, edges.right[2] as i32),
+    ];
     let first = area.first / RUN * RUN;
     for y in area.top..=area.bottom {
         for x in (first..=area.last).step_by(RUN) {
-            let steps = |k: usize| {
-                edges.start[k] + edges.right[k] * (x - first) as i64 + edges.down[k] * (y - area.top) as i64
-            };
+            let (across, along) = ((x - first) as i64, (y - area.top) as i64);
+            let start = edges.at(across, along);
             let inside = if edges.wide {
-                wide_inside(simd, [0, 1, 2].map(steps), &edges.right)
+                wide_inside(simd, start, &edges.right)
             } else {
-                let e = [0, 1, 2].map(|k| i32x8::splat(simd, steps(k) as i32) + e_step[k]);
-                (e[0] | e[1] | e[2]).simd_ge(i32x8::splat(simd, 0))
+                let e0 = i32x8::splat(simd, start[0] as i32) + e_step[0];
+                let e1 = i32x8::splat(simd, start[1] as i32) + e_step[1];
+                let e2 = i32x8::splat(simd, start[2] as i32) + e_step[2];
+                (e0 | e1 | e2).simd_ge(i32x8::splat(simd, 0))
             };
             if inside.all_false() {
                 continue;
@@ -283,9 +301,6 @@ fn draw_triangle<S: Simd>(
             }
             let b1 = f32x8::splat(simd, l1.at(x, y)) + l1_step;
             let b2 = f32x8::splat(simd, l2.at(x, y)) + l2_step;
-            let blend = |[p, q, r]: [f32; 3]| {
-                f32x8::splat(simd, p) + b1 * f32x8::splat(simd, q) + b2 * f32x8::splat(simd, r)
-            };
             if second {
                 // a fragment behind the first may be the second; a new first makes the old one second
                 let before2 = load(simd, &slot.w2, at);
@@ -298,7 +313,7 @@ fn draw_triangle<S: Simd>(
                 for (k, &plane) in normal.iter().enumerate() {
                     let old = load(simd, &slot.normal[k], at);
                     let old2 = load(simd, &slot.normal2[k], at);
-                    let new = blend(plane);
+                    let new = blend(simd, b1, b2, plane);
                     store(wins.select(old, behind.select(new, old2)), &mut slot.normal2[k], at);
                 }
                 if !any {
@@ -309,14 +324,14 @@ fn draw_triangle<S: Simd>(
             if normals {
                 for (k, &plane) in normal.iter().enumerate() {
                     let old = load(simd, &slot.normal[k], at);
-                    store(wins.select(blend(plane), old), &mut slot.normal[k], at);
+                    store(wins.select(blend(simd, b1, b2, plane), old), &mut slot.normal[k], at);
                 }
             }
             if color {
                 let z = f32x8::splat(simd, 1.0) / here;
                 let light = match paint.surface.kind {
                     Kind::Flat => f32x8::splat(simd, paint.face),
-                    _ => unit_range(simd, blend(intensity) * z),
+                    _ => unit_range(simd, blend(simd, b1, b2, intensity) * z),
                 };
                 let light = match paint.surface.kind {
                     Kind::Toon => {
@@ -331,8 +346,8 @@ fn draw_triangle<S: Simd>(
                 let texels = match paint.texture {
                     Some(texture) => {
                         let (mut u, mut v) = ([0.0f32; RUN], [0.0f32; RUN]);
-                        (blend(uv[0]) * z).store_slice(&mut u);
-                        (blend(uv[1]) * z).store_slice(&mut v);
+                        (blend(simd, b1, b2, uv[0]) * z).store_slice(&mut u);
+                        (blend(simd, b1, b2, uv[1]) * z).store_slice(&mut v);
                         let mut texels = [[1.0f32; RUN]; 3];
                         let bits = wins.to_bitmask();
                         for k in 0..RUN {
@@ -341,25 +356,36 @@ fn draw_triangle<S: Simd>(
                                 (texels[0][k], texels[1][k], texels[2][k]) = (r, g, b);
                             }
                         }
-                        texels.map(|t| light * f32x8::simd_from(simd, t))
+                        [
+                            light * f32x8::simd_from(simd, texels[0]),
+                            light * f32x8::simd_from(simd, texels[1]),
+                            light * f32x8::simd_from(simd, texels[2]),
+                        ]
                     }
                     None => [light; 3],
                 };
-                let [r, g, b] = [0, 1, 2].map(|k| {
-                    let level =
-                        texels[k] * f32x8::splat(simd, paint.surface.color[k]) + f32x8::splat(simd, 0.5);
-                    level.max(zero).to_int::<i32x8<S>>()
-                });
+                let base = paint.surface.color;
+                let r = to_level(simd, texels[0], base[0]);
+                let g = to_level(simd, texels[1], base[1]);
+                let b = to_level(simd, texels[2], base[2]);
                 let packed = r | (g << 8) | (b << 16);
-                let slice = &mut slot.color[at..at + RUN];
-                let old = i32x8::from_fn(simd, |k| slice[k] as i32);
-                let new = wins.select(packed, old);
-                for (k, value) in slice.iter_mut().enumerate() {
-                    *value = new[k] as u32;
-                }
+                let old = i32x8::from_slice(simd, &slot.color[at..at + RUN]);
+                wins.select(packed, old).store_slice(&mut slot.color[at..at + RUN]);
             }
         }
     }
+}
+
+/// An attribute times 1/z where the corners' weights are `b1` and `b2`.
+#[inline(always)]
+fn blend<S: Simd>(simd: S, b1: f32x8<S>, b2: f32x8<S>, [p, q, r]: [f32; 3]) -> f32x8<S> {
+    f32x8::splat(simd, p) + b1 * f32x8::splat(simd, q) + b2 * f32x8::splat(simd, r)
+}
+
+/// Light times base color, rounded to a whole level.
+#[inline(always)]
+fn to_level<S: Simd>(simd: S, light: f32x8<S>, base: f32) -> i32x8<S> {
+    (light * f32x8::splat(simd, base) + f32x8::splat(simd, 0.5)).to_int()
 }
 
 #[inline(always)]

@@ -446,3 +446,6 @@ fn texture(path: &Path, limits: &Limits) -> Option<Arc<Rgb>> {
         }
     }
 }
+
+#[cfg(test)]
+mod tests;
