@@ -52,8 +52,7 @@ width = 640
 height = 480
 [[model]]
 file = "teapot"
-[model.marker]
-{marker}
+marker = { family = "tag36h11", id = 7, side_mm = 80 }
 [style]
 name = "cartoon"
 [display]
@@ -254,7 +253,7 @@ def make_clip(host, folder, frames):
     return check(count == frames, f"clip: {count} frames of a moving marker")
 
 
-def loop(host, folder, frames, marker):
+def loop(host, folder, frames):
     """Boot 1: camera to display, and the replay."""
     if not make_clip(host, folder, 60):
         return
@@ -263,7 +262,7 @@ def loop(host, folder, frames, marker):
     for name in ("screen", "replay"):
         shutil.rmtree(folder / name, ignore_errors=True)
     (folder / "screen").mkdir()
-    (folder / "host" / "visor.toml").write_text(VISOR.format(marker=marker))
+    (folder / "host" / "visor.toml").write_text(VISOR)
     (folder / "host" / "run.sh").write_text(LOOP.format(frames=frames))
 
     board = Board(folder, "loop")
@@ -366,7 +365,7 @@ def main():
         return 1
     began = time.monotonic()
     if chosen.only != "clock":
-        loop(host.resolve(), folder, chosen.frames, 'family = "tag36h11"\nid = 0\nside_mm = 100')
+        loop(host.resolve(), folder, chosen.frames)
     if chosen.only != "loop":
         clock(folder)
     note(f"{time.monotonic() - began:.0f} s, logs and pictures in {folder}")
