@@ -7,6 +7,12 @@ use crate::pixels::{Plane, Rgb, Size, TileGrid, TileSet};
 use glam::DVec2;
 use std::time::Duration;
 
+/// The monotonic clock that pictures are stamped with: by the kernel when taken, by us when shown.
+pub fn now() -> Duration {
+    let time = rustix::time::clock_gettime(rustix::time::ClockId::Monotonic);
+    Duration::new(time.tv_sec.max(0) as u64, time.tv_nsec as u32)
+}
+
 /// One camera picture.
 #[derive(Clone, Debug, Default)]
 pub struct Frame {

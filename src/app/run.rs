@@ -227,7 +227,6 @@ impl Show<'_> {
                     shown_at: shown.at,
                     shown_hash: hash,
                     mode: [mode.width as u32, mode.height as u32],
-                    ..trace::Entry::default()
                 };
                 trace
                     .push(&entry, &RawRef { format: *format, bytes })

@@ -23,7 +23,7 @@ pub use raw::{Decoder, LARGEST, MOST_BYTES, PixelFormat, RawFormat, RawRef, deco
 pub use synthetic::{Config as SyntheticConfig, Synthetic};
 pub use trace::Trace;
 #[cfg(target_os = "linux")]
-pub use v4l2::{Candidate, V4l2, now, probe};
+pub use v4l2::{Candidate, V4l2, probe};
 
 use crate::frame::Frame;
 use crate::geometry::Lens;

@@ -1,14 +1,13 @@
 //! Traces: what the camera delivered and what the screen showed, frame by frame, for exact replay.
 //!
-//! A file is the 8 bytes `VNTRACE1`, then records. A record is 84 bytes, numbers little-endian:
+//! A file is the 8 bytes `VNTRACE1`, then records. A record is 68 bytes, numbers little-endian:
 //!
 //! | bytes | what |
 //! |---|---|
 //! | 4 | `FRAM` |
 //! | 8 8 8 | sequence; taken at, shown at: ns on the monotonic clock |
-//! | 8 | hash of the shown XRGB pixels ([`hash_pixels`]) |
+//! | 8 | hash of the shown XRGB pixels, the display room's |
 //! | 4 4 | width, height of the display mode |
-//! | 4 4 4 4 | left, top (signed), width, height of the canvas on it |
 //! | 1 1 1 1 | pixel format, matrix, range, siting: places in the tables below |
 //! | 4 4 4 | width, height, stride of the raw picture |
 //! | 4 4 | length of the raw bytes, low and high half |
@@ -27,7 +26,7 @@ use std::path::Path;
 use std::time::Duration;
 
 const MAGIC: &[u8; 8] = b"VNTRACE1";
-const RECORD: usize = 84;
+const RECORD: usize = 68;
 const MATRICES: [Matrix; 4] = [Matrix::Bt601, Matrix::Bt709, Matrix::Bt2020, Matrix::Smpte240m];
 const RANGES: [Range; 2] = [Range::Limited, Range::Full];
 const SITINGS: [Siting; 3] = [Siting::Center, Siting::Left, Siting::PalDv];
@@ -41,26 +40,10 @@ pub struct Entry {
     pub captured_at: Duration,
     /// On the screen, on the monotonic clock.
     pub shown_at: Duration,
-    /// [`hash_pixels`] of the whole shown mode.
+    /// Hash of the whole shown mode, the display room's.
     pub shown_hash: u64,
     /// Width and height of the display mode, px.
     pub mode: [u32; 2],
-    /// Left, top of the canvas on the mode, px.
-    pub origin: [i32; 2],
-    /// Width, height of the canvas on the mode, px.
-    pub extent: [u32; 2],
-}
-
-/// FNV-1a over 64-bit little-endian words, then over the bytes that are left: of rows as they are shown.
-pub fn hash_pixels<'a>(rows: impl IntoIterator<Item = &'a [u8]>) -> u64 {
-    let mut hash = 0xcbf2_9ce4_8422_2325u64;
-    let mut take = |word: u64| hash = (hash ^ word).wrapping_mul(0x0000_0100_0000_01b3);
-    for row in rows {
-        let (words, rest) = row.as_chunks::<8>();
-        words.iter().for_each(|word| take(u64::from_le_bytes(*word)));
-        rest.iter().for_each(|byte| take(u64::from(*byte)));
-    }
-    hash
 }
 
 /// Writes a trace.
@@ -96,8 +79,6 @@ impl Writer {
         put(&(entry.shown_at.as_nanos() as u64).to_le_bytes());
         put(&entry.shown_hash.to_le_bytes());
         entry.mode.iter().for_each(|v| put(&v.to_le_bytes()));
-        entry.origin.iter().for_each(|v| put(&v.to_le_bytes()));
-        entry.extent.iter().for_each(|v| put(&v.to_le_bytes()));
         put(&[
             place(PixelFormat::ALL.iter().position(|&f| f == format)),
             place(MATRICES.iter().position(|&m| m == coding.matrix)),
@@ -273,18 +254,16 @@ fn parse(record: &[u8; RECORD]) -> Option<(Entry, RawFormat, usize)> {
         shown_at: Duration::from_nanos(u64_at(16)?),
         shown_hash: u64_at(24)?,
         mode: [u32_at(32)?, u32_at(36)?],
-        origin: [u32_at(40)?.cast_signed(), u32_at(44)?.cast_signed()],
-        extent: [u32_at(48)?, u32_at(52)?],
     };
-    let place = |at: usize| rest.get(56 + at).map(|&b| usize::from(b));
+    let place = |at: usize| rest.get(40 + at).map(|&b| usize::from(b));
     let format = RawFormat {
         format: *PixelFormat::ALL.get(place(0)?)?,
-        size: Size::new(u32_at(60)? as usize, u32_at(64)? as usize),
-        stride: u32_at(68)? as usize,
+        size: Size::new(u32_at(44)? as usize, u32_at(48)? as usize),
+        stride: u32_at(52)? as usize,
         coding: Coding { matrix: *MATRICES.get(place(1)?)?, range: *RANGES.get(place(2)?)? },
         siting: *SITINGS.get(place(3)?)?,
     };
-    let length = usize::try_from(u64_at(72)?).ok()?;
+    let length = usize::try_from(u64_at(56)?).ok()?;
     // rows may be padded, but not beyond all measure
     let within = length >= format.least_bytes()? && length <= 4 * MOST_BYTES;
     within.then_some((entry, format, length))

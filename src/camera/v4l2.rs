@@ -7,7 +7,7 @@ use super::negotiate::{self, Granted, Offer, Ranked};
 use super::raw::{RawFormat, RawRef};
 use super::streaming::{Device, Stream};
 use super::{CameraError, Config, Grab};
-use crate::frame::Frame;
+use crate::frame::{Frame, now};
 use crate::pixels::Size;
 use std::io;
 use std::path::{Path, PathBuf};
@@ -16,12 +16,6 @@ use v4l::frameinterval::FrameIntervalEnum;
 use v4l::framesize::FrameSizeEnum;
 use v4l::v4l_sys as sys;
 use v4l::video::Capture;
-
-/// The monotonic clock: what drivers stamp frames and page flips with.
-pub fn now() -> Duration {
-    let time = rustix::time::clock_gettime(rustix::time::ClockId::Monotonic);
-    Duration::new(time.tv_sec.try_into().unwrap_or(0), time.tv_nsec.try_into().unwrap_or(0))
-}
 
 /// A video node, and whether it can serve.
 #[derive(Clone, Debug)]

@@ -7,7 +7,8 @@
 
 use super::card::{Card, Screen, mode_size};
 use super::xrgb::Hash;
-use super::{Composer, Config, DisplayError, Shown, Xrgb, monotonic_now};
+use super::{Composer, Config, DisplayError, Shown, Xrgb};
+use crate::frame::now;
 use crate::pixels::{Rgb, Size};
 use drm::buffer::{Buffer as _, DrmFourcc};
 use drm::control::dumbbuffer::{DumbBuffer, DumbMapping};
@@ -129,15 +130,15 @@ impl Kms {
                 Err(error) => return Err(refused(card, "flip to a picture", error)),
             }
         }
-        Ok(Shown { at: monotonic_now(), previous })
+        Ok(Shown { at: now(), previous })
     }
 
     /// Waits until no flip is pending, or gives it up.
     fn wait_for_flip(&mut self) {
         let Some(waiting) = self.pending.take() else { return };
-        let deadline = monotonic_now() + FLIP_TIMEOUT;
+        let deadline = now() + FLIP_TIMEOUT;
         let mut ended = None;
-        while ended.is_none() && self.readable(deadline.saturating_sub(monotonic_now())) {
+        while ended.is_none() && self.readable(deadline.saturating_sub(now())) {
             let Ok(events) = self.screen.card.receive_events() else { break };
             for event in events {
                 if let Event::PageFlip(flip) = event

@@ -24,6 +24,7 @@ pub use png_dir::PngDir;
 pub use xrgb::{Composer, Xrgb, compose};
 pub use y4m::Y4m;
 
+use crate::frame::now;
 use crate::pixels::picture::PictureError;
 use crate::pixels::{Rgb, Size};
 use std::path::{Path, PathBuf};
@@ -155,9 +156,9 @@ impl Sink {
         match self {
             #[cfg(target_os = "linux")]
             Sink::Kms(kms) => kms.present(canvas),
-            Sink::Y4m(clip) => clip.write(canvas).map(|()| Shown { at: monotonic_now(), previous: None }),
-            Sink::PngDir(dir) => dir.write(canvas).map(|()| Shown { at: monotonic_now(), previous: None }),
-            Sink::Null => Ok(Shown { at: monotonic_now(), previous: None }),
+            Sink::Y4m(clip) => clip.write(canvas).map(|()| Shown { at: now(), previous: None }),
+            Sink::PngDir(dir) => dir.write(canvas).map(|()| Shown { at: now(), previous: None }),
+            Sink::Null => Ok(Shown { at: now(), previous: None }),
         }
     }
 
@@ -208,10 +209,4 @@ fn write_error(path: &Path, source: std::io::Error) -> DisplayError {
         std::io::ErrorKind::BrokenPipe => DisplayError::ReaderGone { path: path.into() },
         _ => DisplayError::Write { path: path.into(), source },
     }
-}
-
-/// The monotonic clock that camera timestamps and flip events are on.
-fn monotonic_now() -> Duration {
-    let now = rustix::time::clock_gettime(rustix::time::ClockId::Monotonic);
-    Duration::new(now.tv_sec.max(0) as u64, now.tv_nsec as u32)
 }

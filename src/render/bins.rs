@@ -200,7 +200,9 @@ impl Chunk {
     /// Winds the record and bounds its pixels; `false` when it covers no pixel center or faces away.
     #[inline]
     fn shape(&self, record: &mut Record, p: [[i32; 2]; 3], view: &View<'_>, model: &Model) -> bool {
-        let [[x0, y0], [x1, y1], [x2, y2]] = p.map(|[x, y]| [i64::from(x), i64::from(y)]);
+        let [a, b, c] = p;
+        let (x0, y0, x1, y1) = (i64::from(a[0]), i64::from(a[1]), i64::from(b[0]), i64::from(b[1]));
+        let (x2, y2) = (i64::from(c[0]), i64::from(c[1]));
         let area = (x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0);
         // positive = clockwise as seen, the back
         if area == 0 || (model.cull_back && area > 0) {

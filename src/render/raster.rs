@@ -25,7 +25,7 @@ pub(super) struct Slot {
     /// 1/z of the nearest surface, 0 where there is none.
     pub w: Vec<f32>,
     /// Its color, red in the lowest byte; unspecified where there is none.
-    pub color: Vec<u32>,
+    pub color: Vec<i32>,
     /// Its normal, not of unit length.
     pub normal: [Vec<f32>; 3],
     /// 1/z of the second-nearest surface.
@@ -67,7 +67,8 @@ fn draw_records<S: Simd>(simd: S, view: &View<'_>, chunks: &[Chunk], slot: &mut 
     let far = (1.0 / view.camera.far) as f32;
     for chunk in chunks {
         for record in chunk.records_of(slot.tile) {
-            let [x0, y0, x1, y1] = record.bounds.map(|v| v as usize);
+            let [x0, y0, x1, y1] = record.bounds;
+            let (x0, y0, x1, y1) = (x0 as usize, y0 as usize, x1 as usize, y1 as usize);
             if x0 >= rect.x1 || y0 >= rect.y1 || x1 < rect.x0 || y1 < rect.y0 {
                 continue;
             }
@@ -78,7 +79,12 @@ fn draw_records<S: Simd>(simd: S, view: &View<'_>, chunks: &[Chunk], slot: &mut 
                 last: x1.min(rect.x1 - 1) - rect.x0,
                 bottom: y1.min(rect.y1 - 1) - rect.y0,
             };
-            let corners = record.corners.map(|c| corner(view, chunk, record, c));
+            let [a, b, c] = record.corners;
+            let corners = [
+                corner(view, chunk, record, a),
+                corner(view, chunk, record, b),
+                corner(view, chunk, record, c),
+            ];
             let surface = &view.surfaces[record.surface as usize];
             let paint = Paint { surface, texture: surface.texture(view.scene), face: record.face };
             draw_triangle(simd, &area, &corners, &paint, far, slot);
@@ -119,7 +125,10 @@ fn corner(view: &View<'_>, chunk: &Chunk, record: &Record, index: u32) -> Corner
     } else {
         let model = view.instances[record.instance as usize].placed.model;
         let texcoords = &view.scene.models[model].mesh.texcoords;
-        let uv = texcoords.get((index - record.first_vertex) as usize).map_or([0.0; 2], |uv| uv.to_array());
+        let uv = match texcoords.get((index - record.first_vertex) as usize) {
+            Some(uv) => [uv.x, uv.y],
+            None => [0.0; 2],
+        };
         (&view.vertices[index as usize], uv)
     };
     let (x, y, w, snapped) = (vertex.x, vertex.y, vertex.w, vertex.snapped);
@@ -147,8 +156,9 @@ impl Edges {
         let y = i64::from(area.origin[1]) * 256 + area.top as i64 * 256;
         let mut edges = Edges { start: [0; 3], right: [0; 3], down: [0; 3], wide: false };
         for k in 0..3 {
-            let [x0, y0] = corners[k].snapped.map(i64::from);
-            let [x1, y1] = corners[(k + 1) % 3].snapped.map(i64::from);
+            let (from, to) = (&corners[k].snapped, &corners[if k == 2 { 0 } else { k + 1 }].snapped);
+            let (x0, y0) = (i64::from(from[0]), i64::from(from[1]));
+            let (x1, y1) = (i64::from(to[0]), i64::from(to[1]));
             let (right, down) = (y0 - y1, x1 - x0);
             // top: to the right along the row; left: upwards (y down, inside on the right hand)
             let owned = right > 0 || (right == 0 && down > 0);
@@ -167,6 +177,19 @@ impl Edges {
     }
 }
 
+impl Edges {
+    /// The values some pixels to the right of and below the area's first run.
+    #[inline(always)]
+    fn at(&self, across: i64, along: i64) -> [i64; 3] {
+        let [a, b, c] = self.start;
+        [
+            a + self.right[0] * across + self.down[0] * along,
+            b + self.right[1] * across + self.down[1] * along,
+            c + self.right[2] * across + self.down[2] * along,
+        ]
+    }
+}
+
 /// Linear in x and y over the tile: value at the tile's first pixel center and steps.
 #[derive(Clone, Copy)]
 struct Slope {
@@ -182,24 +205,26 @@ impl Slope {
     }
 }
 
+/// A weight from its steps, 0 at the corner that lies (ox, oy) before the tile's origin.
+#[inline(always)]
+fn weight(ox: f64, oy: f64, right: f64, down: f64) -> Slope {
+    let origin = ox * right + oy * down;
+    if (origin + right + down).is_finite() {
+        Slope { origin, right, down }
+    } else {
+        // no area before snapping: the middle of the triangle stands for all of it
+        Slope { origin: 1.0 / 3.0, right: 0.0, down: 0.0 }
+    }
+}
+
 /// The unsnapped triangle's barycentric weights of corners 1 and 2, and 1/z.
 #[inline(always)]
 fn slopes(area: &Area, [a, b, c]: &[Corner; 3]) -> [Slope; 3] {
     let (abx, aby, acx, acy) = (b.x - a.x, b.y - a.y, c.x - a.x, c.y - a.y);
     let inverse = 1.0 / (abx * acy - acx * aby);
     let (ox, oy) = (f64::from(area.origin[0]) - a.x, f64::from(area.origin[1]) - a.y);
-    let weight = |right: f64, down: f64| {
-        let (right, down) = (right * inverse, down * inverse);
-        let origin = ox * right + oy * down;
-        let finite = (origin + right + down).is_finite();
-        // no area before snapping: the middle of the triangle stands for all of it
-        if finite {
-            Slope { origin, right, down }
-        } else {
-            Slope { origin: 1.0 / 3.0, right: 0.0, down: 0.0 }
-        }
-    };
-    let (l1, l2) = (weight(acy, -acx), weight(-aby, abx));
+    let l1 = weight(ox, oy, acy * inverse, -acx * inverse);
+    let l2 = weight(ox, oy, -aby * inverse, abx * inverse);
     let (d1, d2) = (b.w - a.w, c.w - a.w);
     let w = Slope {
         origin: a.w + l1.origin * d1 + l2.origin * d2,
@@ -211,8 +236,8 @@ fn slopes(area: &Area, [a, b, c]: &[Corner; 3]) -> [Slope; 3] {
 
 /// An attribute times 1/z at corner 0, and its differences to corners 1 and 2.
 #[inline(always)]
-fn plane([a, b, c]: &[Corner; 3], value: impl Fn(&Corner) -> f32) -> [f32; 3] {
-    let [p, q, r] = [a, b, c].map(|corner| f64::from(value(corner)) * corner.w);
+fn plane([a, b, c]: &[Corner; 3], [p, q, r]: [f32; 3]) -> [f32; 3] {
+    let (p, q, r) = (f64::from(p) * a.w, f64::from(q) * b.w, f64::from(r) * c.w);
     [p as f32, (q - p) as f32, (r - p) as f32]
 }
 
@@ -230,9 +255,10 @@ fn draw_triangle<S: Simd>(
     let (color, normals, second) = (!slot.color.is_empty(), !slot.normal[0].is_empty(), !slot.w2.is_empty());
 
     let lanes = f32x8::simd_from(simd, [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0]);
-    let step = |slope: &Slope| lanes * f32x8::splat(simd, slope.right as f32);
-    let (l1_step, l2_step, w_step) = (step(&l1), step(&l2), step(&w));
-    let zero = f32x8::splat(simd, 0.0);
+    // no closures and no array `map` in here: what is not inlined runs without the level's instructions
+    let l1_step = lanes * f32x8::splat(simd, l1.right as f32);
+    let l2_step = lanes * f32x8::splat(simd, l2.right as f32);
+    let w_step = lanes * f32x8::splat(simd, w.right as f32);
     let far = f32x8::splat(simd, far);
     // snapping moves a covered center at most .003 px out of the triangle; slivers must not turn that into
     // any depth at all
@@ -242,30 +268,39 @@ fn draw_triangle<S: Simd>(
     let low = f32x8::splat(simd, (least - reach).max(least * 0.5) as f32);
     let high = f32x8::splat(simd, (most + reach) as f32);
 
-    let intensity = plane(corners, |c| c.intensity);
-    let normal = match normals {
-        true => [0, 1, 2].map(|k| plane(corners, |c| c.normal[k])),
-        false => [[0.0; 3]; 3],
-    };
-    let uv = match paint.texture {
-        Some(_) => [0, 1].map(|k| plane(corners, |c| c.uv[k])),
-        None => [[0.0; 3]; 2],
-    };
+    let [a, b, c] = corners;
+    let intensity = plane(corners, [a.intensity, b.intensity, c.intensity]);
+    let mut normal = [[0.0; 3]; 3];
+    if normals {
+        for (k, out) in normal.iter_mut().enumerate() {
+            *out = plane(corners, [a.normal[k], b.normal[k], c.normal[k]]);
+        }
+    }
+    let mut uv = [[0.0; 3]; 2];
+    if paint.texture.is_some() {
+        for (k, out) in uv.iter_mut().enumerate() {
+            *out = plane(corners, [a.uv[k], b.uv[k], c.uv[k]]);
+        }
+    }
 
     let ramp = i32x8::simd_from(simd, [0, 1, 2, 3, 4, 5, 6, 7]);
-    let narrow = edges.right.map(|v| v as i32);
-    let e_step = narrow.map(|v| ramp * i32x8::splat(simd, v));
+    let e_step = [
+        ramp * i32x8::splat(simd, edges.right[0] as i32),
+        ramp * i32x8::splat(simd, edges.right[1] as i32),
+        ramp * i32x8::splat(simd, edges.right[2] as i32),
+    ];
     let first = area.first / RUN * RUN;
     for y in area.top..=area.bottom {
         for x in (first..=area.last).step_by(RUN) {
-            let steps = |k: usize| {
-                edges.start[k] + edges.right[k] * (x - first) as i64 + edges.down[k] * (y - area.top) as i64
-            };
+            let (across, along) = ((x - first) as i64, (y - area.top) as i64);
+            let start = edges.at(across, along);
             let inside = if edges.wide {
-                wide_inside(simd, [0, 1, 2].map(steps), &edges.right)
+                wide_inside(simd, start, &edges.right)
             } else {
-                let e = [0, 1, 2].map(|k| i32x8::splat(simd, steps(k) as i32) + e_step[k]);
-                (e[0] | e[1] | e[2]).simd_ge(i32x8::splat(simd, 0))
+                let e0 = i32x8::splat(simd, start[0] as i32) + e_step[0];
+                let e1 = i32x8::splat(simd, start[1] as i32) + e_step[1];
+                let e2 = i32x8::splat(simd, start[2] as i32) + e_step[2];
+                (e0 | e1 | e2).simd_ge(i32x8::splat(simd, 0))
             };
             if inside.all_false() {
                 continue;
@@ -283,9 +318,6 @@ fn draw_triangle<S: Simd>(
             }
             let b1 = f32x8::splat(simd, l1.at(x, y)) + l1_step;
             let b2 = f32x8::splat(simd, l2.at(x, y)) + l2_step;
-            let blend = |[p, q, r]: [f32; 3]| {
-                f32x8::splat(simd, p) + b1 * f32x8::splat(simd, q) + b2 * f32x8::splat(simd, r)
-            };
             if second {
                 // a fragment behind the first may be the second; a new first makes the old one second
                 let before2 = load(simd, &slot.w2, at);
@@ -298,7 +330,7 @@ fn draw_triangle<S: Simd>(
                 for (k, &plane) in normal.iter().enumerate() {
                     let old = load(simd, &slot.normal[k], at);
                     let old2 = load(simd, &slot.normal2[k], at);
-                    let new = blend(plane);
+                    let new = blend(simd, b1, b2, plane);
                     store(wins.select(old, behind.select(new, old2)), &mut slot.normal2[k], at);
                 }
                 if !any {
@@ -309,20 +341,23 @@ fn draw_triangle<S: Simd>(
             if normals {
                 for (k, &plane) in normal.iter().enumerate() {
                     let old = load(simd, &slot.normal[k], at);
-                    store(wins.select(blend(plane), old), &mut slot.normal[k], at);
+                    store(wins.select(blend(simd, b1, b2, plane), old), &mut slot.normal[k], at);
                 }
             }
             if color {
                 let z = f32x8::splat(simd, 1.0) / here;
                 let light = match paint.surface.kind {
                     Kind::Flat => f32x8::splat(simd, paint.face),
-                    _ => unit_range(simd, blend(intensity) * z),
+                    _ => unit_range(simd, blend(simd, b1, b2, intensity) * z),
                 };
                 let light = match paint.surface.kind {
                     Kind::Toon => {
                         let mut out = [0.0f32; RUN];
                         light.store_slice(&mut out);
-                        f32x8::simd_from(simd, out.map(|v| paint.surface.toon(v)))
+                        for value in &mut out {
+                            *value = paint.surface.toon(*value);
+                        }
+                        f32x8::simd_from(simd, out)
                     }
                     _ => light,
                 };
@@ -331,8 +366,8 @@ fn draw_triangle<S: Simd>(
                 let texels = match paint.texture {
                     Some(texture) => {
                         let (mut u, mut v) = ([0.0f32; RUN], [0.0f32; RUN]);
-                        (blend(uv[0]) * z).store_slice(&mut u);
-                        (blend(uv[1]) * z).store_slice(&mut v);
+                        (blend(simd, b1, b2, uv[0]) * z).store_slice(&mut u);
+                        (blend(simd, b1, b2, uv[1]) * z).store_slice(&mut v);
                         let mut texels = [[1.0f32; RUN]; 3];
                         let bits = wins.to_bitmask();
                         for k in 0..RUN {
@@ -341,25 +376,36 @@ fn draw_triangle<S: Simd>(
                                 (texels[0][k], texels[1][k], texels[2][k]) = (r, g, b);
                             }
                         }
-                        texels.map(|t| light * f32x8::simd_from(simd, t))
+                        [
+                            light * f32x8::simd_from(simd, texels[0]),
+                            light * f32x8::simd_from(simd, texels[1]),
+                            light * f32x8::simd_from(simd, texels[2]),
+                        ]
                     }
                     None => [light; 3],
                 };
-                let [r, g, b] = [0, 1, 2].map(|k| {
-                    let level =
-                        texels[k] * f32x8::splat(simd, paint.surface.color[k]) + f32x8::splat(simd, 0.5);
-                    level.max(zero).to_int::<i32x8<S>>()
-                });
+                let base = paint.surface.color;
+                let r = to_level(simd, texels[0], base[0]);
+                let g = to_level(simd, texels[1], base[1]);
+                let b = to_level(simd, texels[2], base[2]);
                 let packed = r | (g << 8) | (b << 16);
-                let slice = &mut slot.color[at..at + RUN];
-                let old = i32x8::from_fn(simd, |k| slice[k] as i32);
-                let new = wins.select(packed, old);
-                for (k, value) in slice.iter_mut().enumerate() {
-                    *value = new[k] as u32;
-                }
+                let old = i32x8::from_slice(simd, &slot.color[at..at + RUN]);
+                wins.select(packed, old).store_slice(&mut slot.color[at..at + RUN]);
             }
         }
     }
+}
+
+/// An attribute times 1/z where the corners' weights are `b1` and `b2`.
+#[inline(always)]
+fn blend<S: Simd>(simd: S, b1: f32x8<S>, b2: f32x8<S>, [p, q, r]: [f32; 3]) -> f32x8<S> {
+    f32x8::splat(simd, p) + b1 * f32x8::splat(simd, q) + b2 * f32x8::splat(simd, r)
+}
+
+/// Light times base color, rounded to a whole level.
+#[inline(always)]
+fn to_level<S: Simd>(simd: S, light: f32x8<S>, base: f32) -> i32x8<S> {
+    (light * f32x8::splat(simd, base) + f32x8::splat(simd, 0.5)).to_int()
 }
 
 #[inline(always)]
@@ -385,7 +431,10 @@ fn unit_range<S: Simd>(simd: S, v: f32x8<S>) -> f32x8<S> {
 fn wide_inside<S: Simd>(simd: S, start: [i64; 3], right: &[i64; 3]) -> mask32x8<S> {
     let mut bits = 0;
     for lane in 0..RUN {
-        let inside = (0..3).all(|k| start[k] + right[k] * lane as i64 >= 0);
+        let step = lane as i64;
+        let values =
+            (start[0] + right[0] * step) | (start[1] + right[1] * step) | (start[2] + right[2] * step);
+        let inside = values >= 0;
         bits |= u64::from(inside) << lane;
     }
     mask32x8::from_bitmask(simd, bits)

@@ -149,7 +149,7 @@ fn depth_row(w: &[f32], out: &mut [f32]) {
 }
 
 #[inline(always)]
-fn color_row(w: &[f32], color: &[u32], out: [&mut [u8]; 3]) {
+fn color_row(w: &[f32], color: &[i32], out: [&mut [u8]; 3]) {
     for (k, out) in out.into_iter().enumerate() {
         for ((out, &w), &color) in out.iter_mut().zip(w).zip(color) {
             *out = if w > 0.0 { (color >> (8 * k)) as u8 } else { 0 };

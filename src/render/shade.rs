@@ -80,16 +80,18 @@ pub(super) fn sample(texture: &Rgb, u: f32, v: f32) -> [f32; 3] {
     let size = texture.size();
     let (x0, x1, fx) = taps(u, size.width);
     let (y0, y1, fy) = taps(1.0 - v, size.height);
-    [0, 1, 2].map(|c| {
-        let plane = &texture.planes[c];
+    let mut color = [0.0; 3];
+    for (value, plane) in color.iter_mut().zip(&texture.planes) {
         let (above, below) = (plane.row(y0), plane.row(y1));
-        let mix = |row: &[u8]| {
-            let (a, b) = (f32::from(row[x0]), f32::from(row[x1]));
-            a + (b - a) * fx
-        };
-        let (a, b) = (mix(above), mix(below));
-        (a + (b - a) * fy) * (1.0 / 255.0)
-    })
+        let (a, b) = (mix(above[x0], above[x1], fx), mix(below[x0], below[x1], fx));
+        *value = (a + (b - a) * fy) * (1.0 / 255.0);
+    }
+    color
+}
+
+#[inline(always)]
+fn mix(a: u8, b: u8, share: f32) -> f32 {
+    f32::from(a) + (f32::from(b) - f32::from(a)) * share
 }
 
 /// Both texels around a repeated coordinate and the weight of the second.

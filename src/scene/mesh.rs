@@ -33,7 +33,32 @@ pub struct Material {
     pub texture: Option<Arc<Rgb>>,
 }
 
+impl Material {
+    /// A plain color, sRGB values 0..1.
+    pub fn plain(color: Vec3) -> Self {
+        Self { name: String::new(), color, texture: None }
+    }
+
+    /// A texture as it is.
+    pub fn textured(texture: Arc<Rgb>) -> Self {
+        Self { name: String::new(), color: Vec3::ONE, texture: Some(texture) }
+    }
+}
+
 impl Mesh {
+    /// The parallelogram `center ± u ± v`, facing u × v, its texture once across it with v up.
+    pub fn quad(center: Vec3, u: Vec3, v: Vec3, material: Material) -> Self {
+        let corners = [(-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0), (1.0, 1.0)];
+        Mesh {
+            positions: corners.iter().map(|&(s, t)| center + u * s + v * t).collect(),
+            normals: vec![u.cross(v).normalize_or_zero(); 4],
+            texcoords: corners.iter().map(|&(s, t)| Vec2::new(s + 1.0, t + 1.0) / 2.0).collect(),
+            triangles: vec![[0, 1, 2], [0, 2, 3]],
+            material_of: vec![0; 2],
+            materials: vec![material],
+        }
+    }
+
     /// Gives every material this color.
     pub fn set_color(&mut self, color: Vec3) {
         self.materials_mut().iter_mut().for_each(|m| m.color = color);

@@ -36,12 +36,12 @@ impl Default for Limits {
 #[derive(Debug, thiserror::Error)]
 pub enum ModelError {
     /// The file cannot be read.
-    #[error("{}: cannot read model: {source}", path.display())]
+    #[error("{}: cannot read model: {reason}", path.display())]
     Read {
         /// The file.
         path: PathBuf,
         /// What the system said.
-        source: std::io::Error,
+        reason: std::io::Error,
     },
     /// The file is larger than a limit.
     #[error("{}: more than {limit} {what}; simplify or split the model", path.display())]
@@ -91,7 +91,7 @@ impl Mesh {
 
 fn read(path: &Path, limits: &Limits) -> Result<Vec<u8>, ModelError> {
     use std::io::Read;
-    let fail = |source| ModelError::Read { path: path.into(), source };
+    let fail = |reason| ModelError::Read { path: path.into(), reason };
     let file = std::fs::File::open(path).map_err(fail)?;
     let mut bytes = Vec::new();
     file.take(limits.bytes.saturating_add(1)).read_to_end(&mut bytes).map_err(fail)?;
@@ -446,3 +446,6 @@ fn texture(path: &Path, limits: &Limits) -> Option<Arc<Rgb>> {
         }
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -156,7 +156,7 @@ pub fn align(view: &View<'_>, found: &Decoded) -> Option<Quad> {
         log_width += libm::log(sigma_px.clamp(0.3, 5.0) / sigma_px);
         reach = (4.0 * residual).clamp(0.05 * contrast, 0.35 * contrast);
         let moved = (step[..8].iter().fold(0.0f64, |most, v| v.abs().max(most))) * scale;
-        if turn > 0 && moved < 2e-3 {
+        if turn > 0 && moved < 8e-3 {
             break;
         }
     }

@@ -19,7 +19,7 @@ use vernissage::scene::{Anchor, Light, Material, Mesh, Model, Scene, Shading, bu
 pub const EVERYTHING: Needs = Needs::COLOR.and(Needs::DEPTH).and(Needs::NORMAL).and(Needs::SECOND_LAYER);
 
 pub fn scene(mesh: Mesh, shading: Shading, cull_back: bool) -> Scene {
-    let anchor = Anchor { family: Family::Tag36h11, id: 0, side_mm: 100.0 };
+    let anchor = Anchor { family: Family::Tag36h11, id: None, side_mm: 100.0 };
     let to_marker = DAffine3::IDENTITY;
     let model = Model { name: "test".into(), mesh, anchor, to_marker, shading, cull_back };
     Scene { models: vec![model], light: Light::default() }
@@ -166,6 +166,7 @@ fn triangle_soups_match_the_reference() {
         let view = camera(width, height, 0.5, 100.0);
         for (label, count, near, far, spread) in kinds {
             let mesh = soup(&mut rng, count, near, far, spread);
+            let view = if label == "huge" { Camera { far: 1e6, ..view } } else { view };
             check(&format!("{label} {width}x{height}"), mesh, here, view, Shading::Smooth, false);
         }
         // slivers: the third corner a hair from the edge
@@ -181,7 +182,7 @@ fn triangle_soups_match_the_reference() {
 
 #[test]
 fn a_floor_from_the_feet_to_the_horizon_keeps_its_depth() {
-    let mut mesh = Mesh::quad(4e4, 4e4, Material::plain(Vec3::ONE));
+    let mut mesh = Mesh::quad(Vec3::ZERO, Vec3::X * 2e4, Vec3::Y * 2e4, Material::plain(Vec3::ONE));
     mesh.materials.clear();
     mesh.material_of.clear();
     let lying = DAffine3 { matrix3: DMat3::from_rotation_x(1.5), translation: DVec3::new(3.0, 15.0, 90.0) };
@@ -248,8 +249,16 @@ fn a_rectangle_bends_with_the_lens() {
         ("past its edges", 2000.0, 1400.0, 0.9, 700.0),
         ("through the near plane", 3000.0, 3000.0, 1.3, 400.0),
     ] {
-        let mut scene =
-            scene(Mesh::quad(width, height, Material::textured(gradient.clone())), Shading::Flat, false);
+        let mut scene = scene(
+            Mesh::quad(
+                Vec3::ZERO,
+                Vec3::X * width / 2.0,
+                Vec3::Y * height / 2.0,
+                Material::textured(gradient.clone()),
+            ),
+            Shading::Flat,
+            false,
+        );
         scene.light.ambient = 1.0;
         let matrix3 = DMat3::from_rotation_x(std::f64::consts::PI - tilt) * DMat3::from_rotation_z(0.1);
         let to_camera = DAffine3 { matrix3, translation: DVec3::new(5.0, 8.0, z) };
@@ -307,8 +316,8 @@ fn a_rectangle_bends_with_the_lens() {
 fn the_teapot_outline_follows_the_lens() {
     let view = barrel(640, 480);
     let mesh = builtin("teapot").expect("built in");
-    for (dx, dy) in [(0.0, 0.0), (-220.0, -150.0), (230.0, 160.0), (-240.0, 150.0)] {
-        let mut placed = turned(520.0, 28.0);
+    for (dx, dy) in [(0.0, 0.0), (-170.0, -115.0), (175.0, 120.0), (-170.0, 120.0)] {
+        let mut placed = turned(520.0, 20.0);
         placed.to_camera.translation = DVec3::new(dx, dy, 520.0);
         let scene = scene(mesh.clone(), Shading::Smooth, false);
         let mut renderer = Renderer::new(simd::best());
@@ -321,7 +330,7 @@ fn the_teapot_outline_follows_the_lens() {
             .map(|(x, y)| DVec2::new(x as f64, y as f64))
             .collect();
         let whole = points.iter().all(|p| p.x > 1.0 && p.y > 1.0 && p.x < 638.0 && p.y < 478.0);
-        assert!(whole && covered.len() > 5000, "the view is meant to hold the whole teapot");
+        assert!(whole && covered.len() > 3000, "the view is meant to hold the whole teapot");
         for axis in [DVec2::X, DVec2::Y, DVec2::NEG_X, DVec2::NEG_Y] {
             let reach = |of: &[DVec2]| of.iter().map(|p| p.dot(axis)).fold(f64::MIN, f64::max);
             let (drawn, true_) = (reach(&covered), reach(&points));
@@ -347,7 +356,11 @@ fn every_level_and_thread_count_gives_the_same_bytes() {
     let texture = Arc::new(Rgb {
         planes: [0, 1, 2].map(|_| Plane::from_fn(Size::new(13, 7), |_, _| rng.next_u64() as u8)),
     });
-    let mut quad = scene(Mesh::quad(900.0, 900.0, Material::textured(texture)), Shading::Smooth, false);
+    let mut quad = scene(
+        Mesh::quad(Vec3::ZERO, Vec3::X * 450.0, Vec3::Y * 450.0, Material::textured(texture)),
+        Shading::Smooth,
+        false,
+    );
     quad.light.ambient = 0.3;
     let mut tilted = turned(500.0, 1.0);
     tilted.model = 0;

@@ -6,7 +6,7 @@ use super::Config;
 use crate::marker::Family;
 use crate::pixels::{Plane, Rgb, Size, SplitMix64};
 use crate::scene::{Anchor, Light, Material, Mesh, Model, Scene, Shading};
-use glam::{DAffine3, DVec3, Vec2, Vec3};
+use glam::{DAffine3, DVec3, Vec3};
 use std::f32::consts::TAU;
 use std::sync::Arc;
 use tiny_skia::{Color, FillRule, Paint, PathBuilder, Pixmap, Rect, Stroke, Transform};
@@ -22,18 +22,29 @@ pub fn lay(config: &Config) -> Scene {
     let side = config.side_mm as f32;
     let cells = config.family.cells() as f32;
     // the sheet has two cells of white around the border's outer edge
-    let sheet = side * (cells + 4.0) / cells;
+    let sheet = side / 2.0 * (cells + 4.0) / cells;
     let mut models = vec![
         model(
             "wall",
-            quad(Vec3::new(0.0, 900.0, 300.0), Vec3::X * 1500.0, Vec3::Z * 700.0),
-            flat([0.70, 0.72, 0.68]),
+            Mesh::quad(
+                Vec3::new(0.0, 900.0, 300.0),
+                Vec3::X * 1500.0,
+                Vec3::Z * 700.0,
+                Material::plain(Vec3::new(0.70, 0.72, 0.68)),
+            ),
         ),
-        model("table", quad(Vec3::Z * -1.0, Vec3::X * 700.0, Vec3::Y * 700.0), textured(wood(config.seed))),
+        model(
+            "table",
+            Mesh::quad(Vec3::Z * -1.0, Vec3::X * 700.0, Vec3::Y * 700.0, textured(wood(config.seed))),
+        ),
         model(
             "sheet",
-            quad(Vec3::ZERO, Vec3::X * (sheet / 2.0), Vec3::Y * (sheet / 2.0)),
-            textured(print(config.family, config.id)),
+            Mesh::quad(
+                Vec3::ZERO,
+                Vec3::X * sheet,
+                Vec3::Y * sheet,
+                textured(print(config.family, config.id)),
+            ),
         ),
     ];
     let objects = [
@@ -51,39 +62,27 @@ pub fn lay(config: &Config) -> Scene {
             [0.24, 0.55, 0.34],
         ),
     ];
-    models.extend(objects.into_iter().map(|(name, mesh, color)| model(name, mesh, flat(color))));
+    models.extend(objects.into_iter().map(|(name, mesh, color)| model(name, painted(mesh, color))));
     Scene { models, light: Light { ambient: 0.35, ..Light::default() } }
 }
 
-fn model(name: &str, mesh: Mesh, material: Material) -> Model {
-    let material_of = vec![0; mesh.triangles.len()];
+fn textured(texture: Rgb) -> Material {
+    Material::textured(Arc::new(texture))
+}
+
+fn painted(mut mesh: Mesh, color: [f32; 3]) -> Mesh {
+    mesh.set_color(Vec3::from(color));
+    mesh
+}
+
+fn model(name: &str, mesh: Mesh) -> Model {
     Model {
         name: name.into(),
-        mesh: Mesh { materials: vec![material], material_of, ..mesh },
+        mesh,
         anchor: Anchor { family: Family::Tag36h11, id: None, side_mm: 1.0 },
         to_marker: DAffine3::IDENTITY,
         shading: Shading::Smooth,
         cull_back: false,
-    }
-}
-
-fn flat(color: [f32; 3]) -> Material {
-    Material { name: String::new(), color: Vec3::from(color), texture: None }
-}
-
-fn textured(texture: Rgb) -> Material {
-    Material { name: String::new(), color: Vec3::ONE, texture: Some(Arc::new(texture)) }
-}
-
-/// A rectangle `center ± u ± v` with its texture upright along v, front towards u × v.
-fn quad(center: Vec3, u: Vec3, v: Vec3) -> Mesh {
-    let corners = [(-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0), (1.0, 1.0)];
-    Mesh {
-        positions: corners.iter().map(|&(s, t)| center + u * s + v * t).collect(),
-        normals: vec![u.cross(v).normalize(); 4],
-        texcoords: corners.iter().map(|&(s, t)| Vec2::new(s + 1.0, t + 1.0) / 2.0).collect(),
-        triangles: vec![[0, 1, 2], [0, 2, 3]],
-        ..Mesh::default()
     }
 }
 
@@ -93,7 +92,9 @@ fn cuboid(center: Vec3, half: Vec3, turn: f32) -> Mesh {
     let (x, y) = (Vec3::new(cos, sin, 0.0) * half.x, Vec3::new(-sin, cos, 0.0) * half.y);
     let z = Vec3::Z * half.z;
     let faces = [(z, x, y), (x, y, z), (y, z, x), (-x, z, y), (-y, x, z)];
-    faces.iter().fold(Mesh::default(), |mesh, &(out, u, v)| join(mesh, quad(center + out, u, v)))
+    faces.iter().fold(Mesh::default(), |mesh, &(out, u, v)| {
+        join(mesh, Mesh::quad(center + out, u, v, Material::default()))
+    })
 }
 
 /// An upright, closed cylinder standing on `foot`.
@@ -151,6 +152,8 @@ fn join(mut a: Mesh, b: Mesh) -> Mesh {
     a.positions.extend(b.positions);
     a.normals.extend(b.normals);
     a.texcoords.extend(b.texcoords);
+    a.materials = b.materials;
+    a.material_of.extend(b.material_of);
     a.triangles.extend(b.triangles.iter().map(|t| t.map(|i| i + shift)));
     a
 }
