@@ -50,11 +50,7 @@ pub fn run(args: Args) -> anyhow::Result<()> {
         !(args.json && args.out == Path::new("-")),
         "--json and --out - both want stdout: write to a file"
     );
-    ensure!(
-        args.trace.is_some() || !matches!(source, Source::V4l2(_)),
-        "{}: its camera never ends; give --input or --trace",
-        args.config.display()
-    );
+    ensure!(!source.is_live(), "{}: its camera never ends; give --input or --trace", args.config.display());
     let threads = args.threads.unwrap_or(config.threads());
     let mut pipeline = {
         let lens = source.lens().unwrap_or(config.lens(source.size()).0);

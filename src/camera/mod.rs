@@ -291,6 +291,15 @@ impl Source {
         }
     }
 
+    /// Whether pictures come when the device takes them, not when they are asked for.
+    pub fn is_live(&self) -> bool {
+        #[cfg(target_os = "linux")]
+        let live = matches!(self, Source::V4l2(_));
+        #[cfg(not(target_os = "linux"))]
+        let live = false;
+        live
+    }
+
     /// How many frames there are in all, where known.
     pub fn frames(&self) -> Option<u64> {
         match self {
