@@ -111,7 +111,7 @@ fn watch(
                     let first = *first.get_or_insert(buffer.frame.captured_at);
                     let due = started + buffer.frame.captured_at.saturating_sub(first);
                     wait_until(due, stop);
-                    buffer.frame.captured_at = due;
+                    buffer.frame.captured_at = now();
                 }
                 if let (Ok(Grab::Frame), Some(raw)) = (&grabbed, source.raw()) {
                     let (format, bytes) = buffer.raw.get_or_insert_with(|| (raw.format, Vec::new()));
@@ -237,7 +237,12 @@ impl Show<'_> {
             for stage in Stage::ALL.into_iter().skip(1) {
                 figures.stages[stage as usize].push(drawn.timings.of(stage));
             }
-            if let (Some(trace), Some((format, bytes))) = (&mut self.trace, &captured.raw) {
+            if let Some(trace) = &mut self.trace {
+                let Some((format, bytes)) = &captured.raw else {
+                    anyhow::bail!(
+                        "--trace: this source has no raw bytes to keep; trace a camera or a Y4M clip"
+                    );
+                };
                 let mode = self.sink.mode().unwrap_or(frame.size());
                 // what the screen shows; without one, what a screen of the picture's size would show
                 let hash = self.sink.scan_out_hash().unwrap_or_else(|| {
