@@ -3,10 +3,10 @@
 
 use super::config::Loaded;
 use super::report::ms;
-use super::{Failed, pool};
+use super::{Failed, pool, say};
 use crate::camera::{self, CameraError, Grab, RawFormat, RawRef, Source, trace};
 use crate::display::{self, Sink};
-use crate::frame::Frame;
+use crate::frame::{Frame, now};
 use crate::pipeline::{Pipeline, Reader, Record, Stage, Writer, latest};
 use crate::pixels::simd;
 use anyhow::Context;
@@ -69,18 +69,19 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     }
     pool(config.threads())?.install(|| {
         let (writer, reader) = latest(Captured::default(), std::thread::current());
-        std::thread::scope(|scope| {
-            let camera = std::thread::Builder::new().name("camera".into());
-            let stopped = &stop;
-            let (settings, keep_raw) = (&config.camera, args.trace.is_some());
-            camera
-                .spawn_scoped(scope, move || watch(source, settings, keep_raw, writer, stopped))
-                .context(Failed("cannot start the camera's thread"))?;
-            let shown =
-                Show { pipeline, sink, trace, display: &config.display, args: &args }.all(reader, &stop);
-            stop.store(true, Ordering::Relaxed);
-            shown
-        })
+        let camera = std::thread::Builder::new().name("camera".into());
+        let (stopped, settings, keep_raw) = (stop.clone(), config.camera.clone(), args.trace.is_some());
+        let camera = camera
+            .spawn(move || watch(source, &settings, keep_raw, writer, &stopped))
+            .context(Failed("cannot start the camera's thread"))?;
+        let shown = Show { pipeline, sink, trace, display: &config.display, args: &args }.all(reader, &stop);
+        stop.store(true, Ordering::Relaxed);
+        // a camera is closed in order; a thread that hangs in a read (a pipe that nobody fills) ends with us
+        let deadline = Instant::now() + 2 * PATIENCE;
+        while !camera.is_finished() && Instant::now() < deadline {
+            std::thread::sleep(Duration::from_millis(5));
+        }
+        shown
     })
 }
 
@@ -103,6 +104,10 @@ fn watch(
             let grabbed = {
                 let mut buffer = writer.buffer();
                 let grabbed = source.next(&mut buffer.frame, PATIENCE);
+                if !matches!(source, Source::V4l2(_)) {
+                    // clips carry a clock of their own; here a picture is taken when it is read
+                    buffer.frame.captured_at = now();
+                }
                 if let (Ok(Grab::Frame), Some(raw)) = (&grabbed, source.raw()) {
                     let (format, bytes) = buffer.raw.get_or_insert_with(|| (raw.format, Vec::new()));
                     *format = raw.format;
@@ -242,9 +247,9 @@ impl Show<'_> {
             trace.finish().context(Failed("cannot write the trace"))?;
         }
         if self.args.json {
-            println!("{}", figures.json(start.elapsed(), reader.replaced()));
+            say(figures.json(start.elapsed(), reader.replaced()))?;
         } else {
-            println!("{}", figures.line(start.elapsed(), reader.replaced()));
+            say(figures.line(start.elapsed(), reader.replaced()))?;
         }
         Ok(())
     }
