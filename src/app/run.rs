@@ -3,7 +3,7 @@
 
 use super::config::Loaded;
 use super::report::ms;
-use super::{Failed, pool};
+use super::{Failed, pool, say};
 use crate::camera::{self, CameraError, Grab, RawFormat, RawRef, Source, trace};
 use crate::display::{self, Sink};
 use crate::frame::{Frame, now};
@@ -69,20 +69,23 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     }
     pool(config.threads())?.install(|| {
         let (writer, reader) = latest(Captured::default(), std::thread::current());
-        std::thread::scope(|scope| {
-            let camera = std::thread::Builder::new().name("camera".into());
-            let stopped = &stop;
-            let (settings, keep_raw) = (&config.camera, args.trace.is_some());
-            let camera = camera
-                .spawn_scoped(scope, move || watch(source, settings, keep_raw, writer, stopped))
-                .context(Failed("cannot start the camera's thread"))?;
-            let shown =
-                Show { pipeline, sink, trace, display: &config.display, args: &args }.all(reader, &stop);
-            stop.store(true, Ordering::Relaxed);
-            // a panic there has been reported; what was shown decides
-            let filmed = camera.join().unwrap_or(Ok(()));
-            shown.and(filmed.map_err(Into::into))
-        })
+        let camera = std::thread::Builder::new().name("camera".into());
+        let (stopped, settings, keep_raw) = (stop.clone(), config.camera.clone(), args.trace.is_some());
+        let camera = camera
+            .spawn(move || watch(source, &settings, keep_raw, writer, &stopped))
+            .context(Failed("cannot start the camera's thread"))?;
+        let shown = Show { pipeline, sink, trace, display: &config.display, args: &args }.all(reader, &stop);
+        stop.store(true, Ordering::Relaxed);
+        // a camera is closed in order; a thread that hangs in a read (a pipe that nobody fills) ends with us
+        let deadline = Instant::now() + 2 * PATIENCE;
+        while !camera.is_finished() && Instant::now() < deadline {
+            std::thread::sleep(Duration::from_millis(5));
+        }
+        if !camera.is_finished() {
+            return shown;
+        }
+        // a panic there has been reported; what was shown decides
+        shown.and(camera.join().unwrap_or(Ok(())).map_err(Into::into))
     })
 }
 
@@ -96,8 +99,8 @@ fn watch(
 ) -> Result<(), CameraError> {
     source.keep_raw(keep_raw);
     // a pool of its own: conversions on this thread must not wake the pipeline's workers
-    let Ok(alone) = rayon::ThreadPoolBuilder::new().num_threads(1).build() else {
-        log::error!("camera: cannot start its worker");
+    let Ok(alone) = rayon::ThreadPoolBuilder::new().num_threads(1).use_current_thread().build() else {
+        log::error!("camera: cannot set its thread up");
         return Ok(());
     };
     let (started, mut first) = (now(), None);
@@ -269,9 +272,9 @@ impl Show<'_> {
             trace.finish().context(Failed("cannot write the trace"))?;
         }
         if self.args.json {
-            println!("{}", figures.json(start.elapsed(), reader.replaced()));
+            say(figures.json(start.elapsed(), reader.replaced()))?;
         } else {
-            println!("{}", figures.line(start.elapsed(), reader.replaced()));
+            say(figures.line(start.elapsed(), reader.replaced()))?;
         }
         Ok(())
     }
