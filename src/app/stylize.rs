@@ -27,7 +27,8 @@ const WARM_UP: u32 = 3;
   vernissage stylize --style cartoon photo.jpg --repeat 100 --json      time it
 
 Settings of cartoon (--set): shrunk_width, shrunk_height (0: from the frame), sigma_p, steps, alpha, beta,
-s0, s1, a0, a1. The result is the same for any number of threads and on any processor.")]
+s0, s1, a0, a1. Of bilateral-cartoon: levels, iterations, sigma_d, sigma_r, t1, t2. Of sketch-like: t1, t2.
+The result is the same for any number of threads and on any processor.")]
 pub struct Args {
     /// Pictures, or folders of pictures.
     #[arg(required = true, value_name = "INPUT")]
@@ -45,7 +46,8 @@ pub struct Args {
     #[arg(long, value_name = "FILE|DIR", required_unless_present_any = ["repeat", "stages"])]
     out: Option<PathBuf>,
     /// Also writes the style's intermediate planes there as NAME.npy (f32, rows x columns [x channels]); with
-    /// several inputs each gets a folder of its name. cartoon: small S eS eA I.
+    /// several inputs each gets a folder of its name. cartoon: small S eS eA I; bilateral-cartoon: pyramid
+    /// filtered edges; sketch-like: edges.
     #[arg(long, value_name = "DIR")]
     stages: Option<PathBuf>,
     /// Draws every input this often, from scratch each time, and prints the times: interleaved RGB bytes in
@@ -251,19 +253,35 @@ impl Job {
 
     fn write_stages(&mut self, folder: &Path) -> anyhow::Result<()> {
         self.draw();
-        let mut style = match self.config.name {
+        let input = StyleInput { frame: &self.frame, layer: None };
+        let (config, level, out) = (&self.config, self.level, &mut self.canvas);
+        let planes: Vec<(&str, Vec<Plane<f32>>)> = match config.name {
             StyleName::Plain => bail!("style plain has no stages"),
-            StyleName::Cartoon => style::cartoon::Cartoon::new(self.config.cartoon, self.level),
+            StyleName::Cartoon => {
+                let stages = style::cartoon::Cartoon::new(config.cartoon, level).stages(input, out);
+                vec![
+                    ("small", stages.small.into()),
+                    ("S", stages.simplified.into()),
+                    ("eS", vec![stages.edge_s]),
+                    ("eA", vec![stages.edge_a]),
+                    ("I", vec![stages.lines]),
+                ]
+            }
+            StyleName::BilateralCartoon => {
+                let mut style = style::bilateral::BilateralCartoon::new(config.bilateral_cartoon, level);
+                let stages = style.stages(input, out);
+                vec![
+                    ("pyramid", stages.pyramid.into()),
+                    ("filtered", stages.filtered.into()),
+                    ("edges", vec![stages.edges]),
+                ]
+            }
+            StyleName::SketchLike => {
+                let mut style = style::bilateral::SketchLike::new(config.sketch_like, level);
+                vec![("edges", vec![style.edges(input, out)])]
+            }
         };
-        let stages = style.stages(StyleInput { frame: &self.frame, layer: None }, &mut self.canvas);
-        let planes: [(&str, &[Plane<f32>]); 5] = [
-            ("small", &stages.small),
-            ("S", &stages.simplified),
-            ("eS", std::slice::from_ref(&stages.edge_s)),
-            ("eA", std::slice::from_ref(&stages.edge_a)),
-            ("I", std::slice::from_ref(&stages.lines)),
-        ];
-        for (name, planes) in planes {
+        for (name, planes) in &planes {
             let file = folder.join(name).with_added_extension("npy");
             write_npy(&file, planes)
                 .with_context(|| format!("{}: cannot write stage", file.display()))

@@ -4,6 +4,7 @@
 //! A style keeps its buffers, reads a [`StyleInput`], and writes every pixel of the canvas; it never draws
 //! models (the renderer does) and never looks at markers.
 
+pub mod bilateral;
 pub mod cartoon;
 pub mod composite;
 mod config;
@@ -39,6 +40,8 @@ pub fn reference(config: &Config, augmented: &Rgb) -> Rgb {
     match config.name {
         StyleName::Plain => augmented.clone(),
         StyleName::Cartoon => cartoon::reference(&config.cartoon, augmented),
+        StyleName::BilateralCartoon => bilateral::reference(&config.bilateral_cartoon, augmented),
+        StyleName::SketchLike => bilateral::sketch_reference(&config.sketch_like, augmented),
     }
 }
 
@@ -48,6 +51,10 @@ pub enum Styler {
     Plain(plain::Plain),
     /// The cartoon filter.
     Cartoon(Box<cartoon::Cartoon>),
+    /// The bilateral cartoon filter.
+    BilateralCartoon(Box<bilateral::BilateralCartoon>),
+    /// Its edges alone.
+    SketchLike(Box<bilateral::SketchLike>),
 }
 
 impl Styler {
@@ -57,6 +64,13 @@ impl Styler {
         match config.name {
             StyleName::Plain => Styler::Plain(plain::Plain),
             StyleName::Cartoon => Styler::Cartoon(Box::new(cartoon::Cartoon::new(config.cartoon, level))),
+            StyleName::BilateralCartoon => {
+                let style = bilateral::BilateralCartoon::new(config.bilateral_cartoon, level);
+                Styler::BilateralCartoon(Box::new(style))
+            }
+            StyleName::SketchLike => {
+                Styler::SketchLike(Box::new(bilateral::SketchLike::new(config.sketch_like, level)))
+            }
         }
     }
 
@@ -65,6 +79,8 @@ impl Styler {
         match self {
             Styler::Plain(_) => StyleName::Plain,
             Styler::Cartoon(_) => StyleName::Cartoon,
+            Styler::BilateralCartoon(_) => StyleName::BilateralCartoon,
+            Styler::SketchLike(_) => StyleName::SketchLike,
         }
     }
 
@@ -73,6 +89,8 @@ impl Styler {
         match self {
             Styler::Plain(_) => plain::Plain::NEEDS,
             Styler::Cartoon(_) => cartoon::Cartoon::NEEDS,
+            Styler::BilateralCartoon(_) => bilateral::BilateralCartoon::NEEDS,
+            Styler::SketchLike(_) => bilateral::SketchLike::NEEDS,
         }
     }
 
@@ -86,6 +104,8 @@ impl Styler {
         match self {
             Styler::Plain(style) => style.draw(input, out),
             Styler::Cartoon(style) => style.draw(input, out),
+            Styler::BilateralCartoon(style) => style.draw(input, out),
+            Styler::SketchLike(style) => style.draw(input, out),
         }
     }
 }
