@@ -9,7 +9,7 @@ use std::process::Command;
 use vernissage::frame::Frame;
 use vernissage::pixels::{Plane, Rgb, Size, picture, simd};
 use vernissage::style::bilateral::{BilateralCartoon, Config, SketchLike};
-use vernissage::style::{self, Style, StyleInput, StyleName, Styler};
+use vernissage::style::{self, StyleInput, StyleName, Styler};
 
 const FRAMES: [&str; 2] = ["micro_coffee_160x120", "micro_stress_160x120"];
 const STYLES: [StyleName; 2] = [StyleName::BilateralCartoon, StyleName::SketchLike];

@@ -1,6 +1,6 @@
 //! `vernissage stylize`: pictures through a style, without a camera or models; also the styles' stopwatch.
 
-use super::Failed;
+use super::{Failed, say};
 use crate::frame::Frame;
 use crate::kernel::interleave;
 use crate::pixels::{Plane, Rgb, Size, picture, simd};
@@ -52,7 +52,7 @@ pub struct Args {
     stages: Option<PathBuf>,
     /// Draws every input this often, from scratch each time, and prints the times: interleaved RGB bytes in
     /// memory to interleaved RGB bytes in memory, after three warm-up frames.
-    #[arg(long, value_name = "K")]
+    #[arg(long, value_name = "K", value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     repeat: Option<u32>,
     /// Prints the times as one JSON object an input: {"image", "style", "threads", "ms": [...]}.
     #[arg(long, requires = "repeat")]
@@ -176,23 +176,19 @@ fn outputs(args: &Args, pictures: &[PathBuf]) -> anyhow::Result<Vec<Output>> {
 fn report(args: &Args, path: &Path, times: &[f64]) -> anyhow::Result<()> {
     if args.json {
         let rounded: Vec<f64> = times.iter().map(|ms| (ms * 1e4).round() / 1e4).collect();
-        println!(
-            "{}",
-            serde_json::json!({
-                "image": path.to_string_lossy(),
-                "style": args.style.name(),
-                "threads": args.threads,
-                "ms": rounded,
-            })
-        );
+        say(serde_json::json!({
+            "image": path.to_string_lossy(),
+            "style": args.style.name(),
+            "threads": args.threads,
+            "ms": rounded,
+        }))
     } else {
         let mut sorted = times.to_vec();
         sorted.sort_by(f64::total_cmp);
         let (least, middle) = (sorted.first().copied(), sorted.get(sorted.len() / 2).copied());
         let (least, middle) = (least.unwrap_or(0.0), middle.unwrap_or(0.0));
-        println!("{}: {least:.2} ms at best, {middle:.2} ms in the middle", path.display());
+        say(format_args!("{}: {least:.2} ms at best, {middle:.2} ms in the middle", path.display()))
     }
-    Ok(())
 }
 
 /// One style and the buffers of one picture on its way through it.
