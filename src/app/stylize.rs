@@ -27,7 +27,8 @@ const WARM_UP: u32 = 3;
   vernissage stylize --style cartoon photo.jpg --repeat 100 --json      time it
 
 Settings of cartoon (--set): shrunk_width, shrunk_height (0: from the frame), sigma_p, steps, alpha, beta,
-s0, s1, a0, a1. The result is the same for any number of threads and on any processor.")]
+s0, s1, a0, a1. Settings of watercolor: cell, alpha, beta, threshold, min_edge, retile_every, seed, sites
+(a .npy file, N x 2; the stage `sites` of one run may be fed to the next). The result is the same for any number of threads and on any processor.")]
 pub struct Args {
     /// Pictures, or folders of pictures.
     #[arg(required = true, value_name = "INPUT")]
@@ -45,7 +46,8 @@ pub struct Args {
     #[arg(long, value_name = "FILE|DIR", required_unless_present_any = ["repeat", "stages"])]
     out: Option<PathBuf>,
     /// Also writes the style's intermediate planes there as NAME.npy (f32, rows x columns [x channels]); with
-    /// several inputs each gets a folder of its name. cartoon: small S eS eA I.
+    /// several inputs each gets a folder of its name. cartoon: small S eS eA I; watercolor: labels means
+    /// response edge sites.
     #[arg(long, value_name = "DIR")]
     stages: Option<PathBuf>,
     /// Draws every input this often, from scratch each time, and prints the times: interleaved RGB bytes in
@@ -237,6 +239,7 @@ impl Job {
     fn draw(&mut self) -> &Rgb {
         self.frame.resize(self.size);
         interleave::split(self.level, &self.input, self.size, &mut self.frame.color);
+        self.styler.restart();
         self.styler.draw(StyleInput { frame: &self.frame, layer: None }, &mut self.canvas);
         &self.canvas
     }
@@ -255,21 +258,36 @@ impl Job {
 
     fn write_stages(&mut self, folder: &Path) -> anyhow::Result<()> {
         self.draw();
-        let mut style = match self.config.name {
+        let input = StyleInput { frame: &self.frame, layer: None };
+        let planes: Vec<(&str, Vec<Plane<f32>>)> = match self.config.name {
             StyleName::Plain => bail!("style plain has no stages"),
-            StyleName::Cartoon => style::cartoon::Cartoon::new(self.config.cartoon, self.level),
+            StyleName::Cartoon => {
+                let mut style = style::cartoon::Cartoon::new(self.config.cartoon, self.level);
+                let stages = style.stages(input, &mut self.canvas);
+                vec![
+                    ("small", stages.small.into()),
+                    ("S", stages.simplified.into()),
+                    ("eS", vec![stages.edge_s]),
+                    ("eA", vec![stages.edge_a]),
+                    ("I", vec![stages.lines]),
+                ]
+            }
+            StyleName::Watercolor => {
+                let config = self.config.watercolor.clone();
+                let stages =
+                    style::watercolor::Watercolor::new(config, self.level).stages(input, &mut self.canvas);
+                vec![
+                    ("labels", vec![stages.labels]),
+                    ("means", vec![stages.means]),
+                    ("response", vec![stages.response]),
+                    ("edge", vec![stages.edge]),
+                    ("sites", vec![stages.sites]),
+                ]
+            }
         };
-        let stages = style.stages(StyleInput { frame: &self.frame, layer: None }, &mut self.canvas);
-        let planes: [(&str, &[Plane<f32>]); 5] = [
-            ("small", &stages.small),
-            ("S", &stages.simplified),
-            ("eS", std::slice::from_ref(&stages.edge_s)),
-            ("eA", std::slice::from_ref(&stages.edge_a)),
-            ("I", std::slice::from_ref(&stages.lines)),
-        ];
         for (name, planes) in planes {
             let file = folder.join(name).with_added_extension("npy");
-            write_npy(&file, planes)
+            write_npy(&file, &planes)
                 .with_context(|| format!("{}: cannot write stage", file.display()))
                 .context(Failed("cannot write the stages"))?;
         }

@@ -5,10 +5,12 @@
 
 pub mod area;
 pub mod color;
+pub mod contrast;
 pub mod enlarge;
 pub mod interleave;
 pub mod photometric;
 pub mod sobel;
+pub mod voronoi;
 pub mod yuv;
 
 #[cfg(test)]

@@ -1,6 +1,6 @@
 //! Settings of all styles: what the scene file's `[style]` table and `--set key=value` reach.
 
-use super::cartoon;
+use super::{cartoon, watercolor};
 use serde::{Deserialize, Serialize};
 
 /// The styles by name.
@@ -12,6 +12,8 @@ pub enum StyleName {
     /// Flat colors and black outlines from one filter over the whole augmented picture.
     #[default]
     Cartoon,
+    /// Colors that bleed over edges in Voronoi cells, black edges on top.
+    Watercolor,
 }
 
 impl StyleName {
@@ -20,6 +22,7 @@ impl StyleName {
         match self {
             StyleName::Plain => "plain",
             StyleName::Cartoon => "cartoon",
+            StyleName::Watercolor => "watercolor",
         }
     }
 }
@@ -34,10 +37,12 @@ impl std::fmt::Display for StyleName {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Config {
-    /// The style to draw: "plain" or "cartoon". Default "cartoon".
+    /// The style to draw: "plain", "cartoon" or "watercolor". Default "cartoon".
     pub name: StyleName,
     /// Settings of the cartoon style.
     pub cartoon: cartoon::Config,
+    /// Settings of the watercolor style.
+    pub watercolor: watercolor::Config,
 }
 
 /// Why a style setting is refused.
@@ -92,7 +97,8 @@ pub enum ConfigError {
 impl Config {
     /// Checks every setting of every style against its range.
     pub fn validate(&self) -> Result<(), ConfigError> {
-        self.cartoon.validate()
+        self.cartoon.validate()?;
+        self.watercolor.validate()
     }
 
     /// Sets one setting of the named style from text, as `--set key=value` does.
@@ -102,6 +108,10 @@ impl Config {
             StyleName::Cartoon => {
                 self.cartoon = edited(self.name, &self.cartoon, key, value)?;
                 self.cartoon.validate()
+            }
+            StyleName::Watercolor => {
+                self.watercolor = edited(self.name, &self.watercolor, key, value)?;
+                self.watercolor.validate()
             }
         }
     }

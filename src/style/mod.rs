@@ -8,6 +8,7 @@ pub mod cartoon;
 pub mod composite;
 mod config;
 pub mod plain;
+pub mod watercolor;
 
 pub use config::{Config, ConfigError, StyleName};
 
@@ -24,8 +25,8 @@ pub struct StyleInput<'a> {
     pub layer: Option<&'a Layer>,
 }
 
-/// The contract of a style: the same input, settings and sequence number give the same bytes for any thread
-/// count and SIMD level, and nothing is allocated once the picture size has been seen.
+/// The contract of a style: the same frames in the same order give the same bytes for any thread count and SIMD
+/// level, and nothing is allocated once the picture size has been seen.
 pub trait Style {
     /// What it wants from the renderer.
     const NEEDS: Needs;
@@ -39,6 +40,7 @@ pub fn reference(config: &Config, augmented: &Rgb) -> Rgb {
     match config.name {
         StyleName::Plain => augmented.clone(),
         StyleName::Cartoon => cartoon::reference(&config.cartoon, augmented),
+        StyleName::Watercolor => watercolor::reference(&config.watercolor, augmented),
     }
 }
 
@@ -48,6 +50,8 @@ pub enum Styler {
     Plain(plain::Plain),
     /// The cartoon filter.
     Cartoon(Box<cartoon::Cartoon>),
+    /// Voronoi cells of mean color.
+    Watercolor(Box<watercolor::Watercolor>),
 }
 
 impl Styler {
@@ -57,6 +61,10 @@ impl Styler {
         match config.name {
             StyleName::Plain => Styler::Plain(plain::Plain),
             StyleName::Cartoon => Styler::Cartoon(Box::new(cartoon::Cartoon::new(config.cartoon, level))),
+            StyleName::Watercolor => {
+                let config = config.watercolor.clone();
+                Styler::Watercolor(Box::new(watercolor::Watercolor::new(config, level)))
+            }
         }
     }
 
@@ -65,6 +73,7 @@ impl Styler {
         match self {
             Styler::Plain(_) => StyleName::Plain,
             Styler::Cartoon(_) => StyleName::Cartoon,
+            Styler::Watercolor(_) => StyleName::Watercolor,
         }
     }
 
@@ -73,6 +82,7 @@ impl Styler {
         match self {
             Styler::Plain(_) => plain::Plain::NEEDS,
             Styler::Cartoon(_) => cartoon::Cartoon::NEEDS,
+            Styler::Watercolor(_) => watercolor::Watercolor::NEEDS,
         }
     }
 
@@ -81,11 +91,20 @@ impl Styler {
         !matches!(self, Styler::Plain(_))
     }
 
+    /// Forgets what earlier frames left behind: the next frame is drawn as a first one.
+    pub fn restart(&mut self) {
+        match self {
+            Styler::Plain(_) | Styler::Cartoon(_) => {}
+            Styler::Watercolor(style) => style.restart(),
+        }
+    }
+
     /// Draws one frame; `out` is fitted to the frame's size.
     pub fn draw(&mut self, input: StyleInput<'_>, out: &mut Rgb) {
         match self {
             Styler::Plain(style) => style.draw(input, out),
             Styler::Cartoon(style) => style.draw(input, out),
+            Styler::Watercolor(style) => style.draw(input, out),
         }
     }
 }
