@@ -28,7 +28,8 @@ const WARM_UP: u32 = 3;
 
 Settings of cartoon (--set): shrunk_width, shrunk_height (0: from the frame), sigma_p, steps, alpha, beta,
 s0, s1, a0, a1. Settings of watercolor: cell, alpha, beta, threshold, min_edge, retile_every, seed, sites
-(a .npy file, N x 2; the stage `sites` of one run may be fed to the next). The result is the same for any number of threads and on any processor.")]
+(a .npy file, N x 2; the stage `sites` of one run may be fed to the next). Settings of illustrative: alpha,
+edge_threshold, theta, n, c_cross, gamma, paper_red, paper_green, paper_blue. The result is the same for any number of threads and on any processor.")]
 pub struct Args {
     /// Pictures, or folders of pictures.
     #[arg(required = true, value_name = "INPUT")]
@@ -47,7 +48,7 @@ pub struct Args {
     out: Option<PathBuf>,
     /// Also writes the style's intermediate planes there as NAME.npy (f32, rows x columns [x channels]); with
     /// several inputs each gets a folder of its name. cartoon: small S eS eA I; watercolor: labels means
-    /// response edge sites.
+    /// response edge sites; illustrative: response intensity halftone.
     #[arg(long, value_name = "DIR")]
     stages: Option<PathBuf>,
     /// Draws every input this often, from scratch each time, and prints the times: interleaved RGB bytes in
@@ -282,6 +283,16 @@ impl Job {
                     ("response", vec![stages.response]),
                     ("edge", vec![stages.edge]),
                     ("sites", vec![stages.sites]),
+                ]
+            }
+            StyleName::Illustrative => {
+                let config = self.config.illustrative;
+                let stages = style::illustrative::Illustrative::new(config, self.level)
+                    .stages(input, &mut self.canvas);
+                vec![
+                    ("response", vec![stages.response]),
+                    ("intensity", vec![stages.intensity]),
+                    ("halftone", vec![stages.halftone]),
                 ]
             }
         };

@@ -26,6 +26,9 @@ pub struct Weights {
 impl Weights {
     /// A block whose |gx| + |gy| of bytes (times 4) is at most this in every channel stays below `threshold`.
     pub fn quiet(self, threshold: f32) -> i16 {
+        if threshold <= 0.0 {
+            return -1;
+        }
         // |∇(B-Y)| <= (.886 + .299 + .587)·g and |∇(R-Y)| <= (.701 + .587 + .114)·g, g the largest of R, G, B
         let [y, u, v] = self.yuv;
         let reach = y + u * color::U_OF_B * 1.772 + v * color::V_OF_R * 1.402 + 3.0 * self.rgb;

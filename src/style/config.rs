@@ -1,6 +1,6 @@
 //! Settings of all styles: what the scene file's `[style]` table and `--set key=value` reach.
 
-use super::{cartoon, watercolor};
+use super::{cartoon, illustrative, watercolor};
 use serde::{Deserialize, Serialize};
 
 /// The styles by name.
@@ -14,6 +14,8 @@ pub enum StyleName {
     Cartoon,
     /// Colors that bleed over edges in Voronoi cells, black edges on top.
     Watercolor,
+    /// Black edges and cross-hatching on paper.
+    Illustrative,
 }
 
 impl StyleName {
@@ -23,6 +25,7 @@ impl StyleName {
             StyleName::Plain => "plain",
             StyleName::Cartoon => "cartoon",
             StyleName::Watercolor => "watercolor",
+            StyleName::Illustrative => "illustrative",
         }
     }
 }
@@ -37,12 +40,14 @@ impl std::fmt::Display for StyleName {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Config {
-    /// The style to draw: "plain", "cartoon" or "watercolor". Default "cartoon".
+    /// The style to draw: "plain", "cartoon", "watercolor" or "illustrative". Default "cartoon".
     pub name: StyleName,
     /// Settings of the cartoon style.
     pub cartoon: cartoon::Config,
     /// Settings of the watercolor style.
     pub watercolor: watercolor::Config,
+    /// Settings of the illustrative style.
+    pub illustrative: illustrative::Config,
 }
 
 /// Why a style setting is refused.
@@ -98,7 +103,8 @@ impl Config {
     /// Checks every setting of every style against its range.
     pub fn validate(&self) -> Result<(), ConfigError> {
         self.cartoon.validate()?;
-        self.watercolor.validate()
+        self.watercolor.validate()?;
+        self.illustrative.validate()
     }
 
     /// Sets one setting of the named style from text, as `--set key=value` does.
@@ -112,6 +118,10 @@ impl Config {
             StyleName::Watercolor => {
                 self.watercolor = edited(self.name, &self.watercolor, key, value)?;
                 self.watercolor.validate()
+            }
+            StyleName::Illustrative => {
+                self.illustrative = edited(self.name, &self.illustrative, key, value)?;
+                self.illustrative.validate()
             }
         }
     }

@@ -7,6 +7,7 @@
 pub mod cartoon;
 pub mod composite;
 mod config;
+pub mod illustrative;
 pub mod plain;
 pub mod watercolor;
 
@@ -41,6 +42,7 @@ pub fn reference(config: &Config, augmented: &Rgb) -> Rgb {
         StyleName::Plain => augmented.clone(),
         StyleName::Cartoon => cartoon::reference(&config.cartoon, augmented),
         StyleName::Watercolor => watercolor::reference(&config.watercolor, augmented),
+        StyleName::Illustrative => illustrative::reference(&config.illustrative, augmented),
     }
 }
 
@@ -52,6 +54,8 @@ pub enum Styler {
     Cartoon(Box<cartoon::Cartoon>),
     /// Voronoi cells of mean color.
     Watercolor(Box<watercolor::Watercolor>),
+    /// Edges and hatching on paper.
+    Illustrative(Box<illustrative::Illustrative>),
 }
 
 impl Styler {
@@ -65,6 +69,9 @@ impl Styler {
                 let config = config.watercolor.clone();
                 Styler::Watercolor(Box::new(watercolor::Watercolor::new(config, level)))
             }
+            StyleName::Illustrative => {
+                Styler::Illustrative(Box::new(illustrative::Illustrative::new(config.illustrative, level)))
+            }
         }
     }
 
@@ -74,6 +81,7 @@ impl Styler {
             Styler::Plain(_) => StyleName::Plain,
             Styler::Cartoon(_) => StyleName::Cartoon,
             Styler::Watercolor(_) => StyleName::Watercolor,
+            Styler::Illustrative(_) => StyleName::Illustrative,
         }
     }
 
@@ -83,6 +91,7 @@ impl Styler {
             Styler::Plain(_) => plain::Plain::NEEDS,
             Styler::Cartoon(_) => cartoon::Cartoon::NEEDS,
             Styler::Watercolor(_) => watercolor::Watercolor::NEEDS,
+            Styler::Illustrative(_) => illustrative::Illustrative::NEEDS,
         }
     }
 
@@ -94,7 +103,7 @@ impl Styler {
     /// Forgets what earlier frames left behind: the next frame is drawn as a first one.
     pub fn restart(&mut self) {
         match self {
-            Styler::Plain(_) | Styler::Cartoon(_) => {}
+            Styler::Plain(_) | Styler::Cartoon(_) | Styler::Illustrative(_) => {}
             Styler::Watercolor(style) => style.restart(),
         }
     }
@@ -105,6 +114,7 @@ impl Styler {
             Styler::Plain(style) => style.draw(input, out),
             Styler::Cartoon(style) => style.draw(input, out),
             Styler::Watercolor(style) => style.draw(input, out),
+            Styler::Illustrative(style) => style.draw(input, out),
         }
     }
 }
