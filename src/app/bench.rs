@@ -58,6 +58,9 @@ struct Row {
     error: String,
 }
 
+/// One part of the table.
+type Part = fn(&Bench) -> Vec<Row>;
+
 /// Times of many runs.
 struct Times {
     min: Duration,
@@ -75,7 +78,7 @@ impl Times {
 
 pub fn run(args: Args) -> anyhow::Result<()> {
     let all = !(args.styles || args.tracking || args.raster);
-    let parts: [(bool, fn(&Bench) -> Vec<Row>); 4] = [
+    let parts: [(bool, Part); 4] = [
         (all || args.tracking, Bench::tracking),
         (all || args.raster, Bench::raster),
         (all || args.styles, Bench::styles),

@@ -36,7 +36,9 @@ const WARM_UP: u32 = 3;
 
 Settings of cartoon (--set): shrunk_width, shrunk_height (0: from the frame), sigma_p, steps, alpha, beta,
 s0, s1, a0, a1. Of bilateral-cartoon: levels, iterations, sigma_d, sigma_r, t1, t2. Of sketch-like: t1, t2.
-The result is the same for any number of threads and on any processor.")]
+Of watercolor: cell, alpha, beta, threshold, min_edge, retile_every, seed, sites (a .npy file, N x 2; the stage
+`sites` of one run may be fed to the next). Of illustrative: alpha, edge_threshold, theta, n, c_cross, gamma,
+paper_red, paper_green, paper_blue. The result is the same for any number of threads and on any processor.")]
 pub struct Args {
     /// Pictures, folders of pictures, or Y4M clips (- is stdin).
     #[arg(required = true, value_name = "INPUT")]
@@ -55,7 +57,8 @@ pub struct Args {
     out: Option<PathBuf>,
     /// Also writes the style's intermediate planes there as NAME.npy (f32, rows x columns [x channels]); with
     /// several inputs each gets a folder of its name. cartoon: small S eS eA I; bilateral-cartoon: pyramid
-    /// filtered edges; sketch-like: edges.
+    /// filtered edges; sketch-like: edges; watercolor: labels means response edge sites; illustrative: response
+    /// intensity halftone.
     #[arg(long, value_name = "DIR")]
     stages: Option<PathBuf>,
     /// Draws every input this often, from scratch each time, and prints the times: interleaved RGB bytes in
@@ -290,6 +293,7 @@ impl Job {
     fn draw(&mut self) -> &Rgb {
         self.frame.resize(self.size);
         interleave::split(self.level, &self.input, self.size, &mut self.frame.color);
+        self.styler.restart();
         self.styler.draw(StyleInput { frame: &self.frame, layer: None }, &mut self.canvas);
         &self.canvas
     }
@@ -335,10 +339,30 @@ impl Job {
                 let mut style = style::bilateral::SketchLike::new(config.sketch_like, level);
                 vec![("edges", vec![style.edges(input, out)])]
             }
+            StyleName::Watercolor => {
+                let config = config.watercolor.clone();
+                let stages = style::watercolor::Watercolor::new(config, level).stages(input, out);
+                vec![
+                    ("labels", vec![stages.labels]),
+                    ("means", vec![stages.means]),
+                    ("response", vec![stages.response]),
+                    ("edge", vec![stages.edge]),
+                    ("sites", vec![stages.sites]),
+                ]
+            }
+            StyleName::Illustrative => {
+                let config = config.illustrative;
+                let stages = style::illustrative::Illustrative::new(config, level).stages(input, out);
+                vec![
+                    ("response", vec![stages.response]),
+                    ("intensity", vec![stages.intensity]),
+                    ("halftone", vec![stages.halftone]),
+                ]
+            }
         };
         for (name, planes) in &planes {
             let file = folder.join(name).with_added_extension("npy");
-            write_npy(&file, planes)
+            write_npy(&file, &planes)
                 .with_context(|| format!("{}: cannot write stage", file.display()))
                 .context(Failed("cannot write the stages"))?;
         }

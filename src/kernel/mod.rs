@@ -7,11 +7,13 @@ pub mod area;
 pub mod bilateral;
 pub mod canny;
 pub mod color;
+pub mod contrast;
 pub mod enlarge;
 pub mod interleave;
 pub mod photometric;
 pub mod pyramid;
 pub mod sobel;
+pub mod voronoi;
 pub mod yuv;
 
 #[cfg(test)]

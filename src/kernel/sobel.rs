@@ -50,6 +50,15 @@ impl Lines {
         ]
     }
 
+    /// Sums of the 3x3 samples around sixteen pixels from `x` (a multiple of 16), rows as in [`Lines::gradient`].
+    #[inline(always)]
+    pub fn nine<S: Simd>(&self, simd: S, top: usize, x: usize) -> i16x16<S> {
+        let [a0, a1, a2] = self.three(simd, top, x);
+        let [b0, b1, b2] = self.three(simd, top + 1, x);
+        let [c0, c1, c2] = self.three(simd, top + 2, x);
+        (a0 + a1 + a2) + (b0 + b1 + b2) + (c0 + c1 + c2)
+    }
+
     /// Gradients (times 4, of 0..255) of sixteen pixels from `x` (a multiple of 16) on the row between rows
     /// `top` and `top + 2`; lanes past the width hold anything.
     #[inline(always)]

@@ -1,6 +1,6 @@
 //! Settings of all styles: what the scene file's `[style]` table and `--set key=value` reach.
 
-use super::{bilateral, cartoon};
+use super::{bilateral, cartoon, illustrative, watercolor};
 use serde::{Deserialize, Serialize};
 
 /// The styles by name.
@@ -16,6 +16,10 @@ pub enum StyleName {
     BilateralCartoon,
     /// Thick black outlines on white.
     SketchLike,
+    /// Colors that bleed over edges in Voronoi cells, black edges on top.
+    Watercolor,
+    /// Black edges and cross-hatching on paper.
+    Illustrative,
 }
 
 impl StyleName {
@@ -26,6 +30,8 @@ impl StyleName {
             StyleName::Cartoon => "cartoon",
             StyleName::BilateralCartoon => "bilateral-cartoon",
             StyleName::SketchLike => "sketch-like",
+            StyleName::Watercolor => "watercolor",
+            StyleName::Illustrative => "illustrative",
         }
     }
 }
@@ -40,7 +46,8 @@ impl std::fmt::Display for StyleName {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Config {
-    /// The style to draw: "plain", "cartoon", "bilateral-cartoon" or "sketch-like". Default "cartoon".
+    /// The style to draw: "plain", "cartoon", "bilateral-cartoon", "sketch-like", "watercolor" or
+    /// "illustrative". Default "cartoon".
     pub name: StyleName,
     /// Settings of the cartoon style.
     pub cartoon: cartoon::Config,
@@ -50,6 +57,10 @@ pub struct Config {
     /// Settings of the sketch-like style; the table is named as the style.
     #[serde(rename = "sketch-like")]
     pub sketch_like: bilateral::Lines,
+    /// Settings of the watercolor style.
+    pub watercolor: watercolor::Config,
+    /// Settings of the illustrative style.
+    pub illustrative: illustrative::Config,
 }
 
 /// Why a style setting is refused.
@@ -106,7 +117,9 @@ impl Config {
     pub fn validate(&self) -> Result<(), ConfigError> {
         self.cartoon.validate()?;
         self.bilateral_cartoon.validate()?;
-        self.sketch_like.validate()
+        self.sketch_like.validate()?;
+        self.watercolor.validate()?;
+        self.illustrative.validate()
     }
 
     /// Sets one setting of the named style from text, as `--set key=value` does.
@@ -124,6 +137,14 @@ impl Config {
             StyleName::SketchLike => {
                 self.sketch_like = edited(self.name, &self.sketch_like, key, value)?;
                 self.sketch_like.validate()
+            }
+            StyleName::Watercolor => {
+                self.watercolor = edited(self.name, &self.watercolor, key, value)?;
+                self.watercolor.validate()
+            }
+            StyleName::Illustrative => {
+                self.illustrative = edited(self.name, &self.illustrative, key, value)?;
+                self.illustrative.validate()
             }
         }
     }

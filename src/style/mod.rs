@@ -8,7 +8,9 @@ pub mod bilateral;
 pub mod cartoon;
 pub mod composite;
 mod config;
+pub mod illustrative;
 pub mod plain;
+pub mod watercolor;
 
 pub use config::{Config, ConfigError, StyleName};
 
@@ -25,8 +27,8 @@ pub struct StyleInput<'a> {
     pub layer: Option<&'a Layer>,
 }
 
-/// The contract of a style: the same input, settings and sequence number give the same bytes for any thread
-/// count and SIMD level, and nothing is allocated once the picture size has been seen.
+/// The contract of a style: the same frames in the same order give the same bytes for any thread count and SIMD
+/// level, and nothing is allocated once the picture size has been seen.
 pub trait Style {
     /// What it wants from the renderer.
     const NEEDS: Needs;
@@ -42,6 +44,8 @@ pub fn reference(config: &Config, augmented: &Rgb) -> Rgb {
         StyleName::Cartoon => cartoon::reference(&config.cartoon, augmented),
         StyleName::BilateralCartoon => bilateral::reference(&config.bilateral_cartoon, augmented),
         StyleName::SketchLike => bilateral::sketch_reference(&config.sketch_like, augmented),
+        StyleName::Watercolor => watercolor::reference(&config.watercolor, augmented),
+        StyleName::Illustrative => illustrative::reference(&config.illustrative, augmented),
     }
 }
 
@@ -55,6 +59,10 @@ pub enum Styler {
     BilateralCartoon(Box<bilateral::BilateralCartoon>),
     /// Its edges alone.
     SketchLike(Box<bilateral::SketchLike>),
+    /// Voronoi cells of mean color.
+    Watercolor(Box<watercolor::Watercolor>),
+    /// Edges and hatching on paper.
+    Illustrative(Box<illustrative::Illustrative>),
 }
 
 impl Styler {
@@ -71,6 +79,13 @@ impl Styler {
             StyleName::SketchLike => {
                 Styler::SketchLike(Box::new(bilateral::SketchLike::new(config.sketch_like, level)))
             }
+            StyleName::Watercolor => {
+                let config = config.watercolor.clone();
+                Styler::Watercolor(Box::new(watercolor::Watercolor::new(config, level)))
+            }
+            StyleName::Illustrative => {
+                Styler::Illustrative(Box::new(illustrative::Illustrative::new(config.illustrative, level)))
+            }
         }
     }
 
@@ -81,6 +96,8 @@ impl Styler {
             Styler::Cartoon(_) => StyleName::Cartoon,
             Styler::BilateralCartoon(_) => StyleName::BilateralCartoon,
             Styler::SketchLike(_) => StyleName::SketchLike,
+            Styler::Watercolor(_) => StyleName::Watercolor,
+            Styler::Illustrative(_) => StyleName::Illustrative,
         }
     }
 
@@ -91,12 +108,21 @@ impl Styler {
             Styler::Cartoon(_) => cartoon::Cartoon::NEEDS,
             Styler::BilateralCartoon(_) => bilateral::BilateralCartoon::NEEDS,
             Styler::SketchLike(_) => bilateral::SketchLike::NEEDS,
+            Styler::Watercolor(_) => watercolor::Watercolor::NEEDS,
+            Styler::Illustrative(_) => illustrative::Illustrative::NEEDS,
         }
     }
 
     /// Whether it changes the camera picture itself.
     pub fn filters(&self) -> bool {
         !matches!(self, Styler::Plain(_))
+    }
+
+    /// Forgets what earlier frames left behind: the next frame is drawn as a first one.
+    pub fn restart(&mut self) {
+        if let Styler::Watercolor(style) = self {
+            style.restart();
+        }
     }
 
     /// Draws one frame; `out` is fitted to the frame's size.
@@ -106,6 +132,8 @@ impl Styler {
             Styler::Cartoon(style) => style.draw(input, out),
             Styler::BilateralCartoon(style) => style.draw(input, out),
             Styler::SketchLike(style) => style.draw(input, out),
+            Styler::Watercolor(style) => style.draw(input, out),
+            Styler::Illustrative(style) => style.draw(input, out),
         }
     }
 }

@@ -1,0 +1,271 @@
+//! The illustrative style (Fischer 2006, sections 4.2 and 4.3): black edges and cross-hatching on paper.
+//!
+//! 1. Edges are where the YUV response reaches a threshold ([`contrast`], eq. 4.11).
+//! 2. Brightness is Y averaged over 3x3 pixels; hatching is where it stays below the procedural halftone threshold
+//!    of the pixel (eq. 4.7, 4.8 and 4.13), which is laid out once a frame size.
+//! 3. Either makes a pixel black; every other pixel is paper.
+//!
+//! One pass over the rows, nothing kept from frame to frame. Objects are filtered with the picture.
+
+mod reference;
+
+pub use reference::{halftone, reference};
+
+use super::{ConfigError, Style, StyleInput, StyleName, composite};
+use crate::frame::Needs;
+use crate::kernel::band_rows;
+use crate::kernel::color::LUMA;
+use crate::kernel::contrast::{self, BLOCK, Weights};
+use crate::kernel::sobel::Lines;
+use crate::pixels::simd::Level;
+use crate::pixels::{Plane, PlaneMut, Rgb, Size};
+use fearless_simd::{Simd, SimdBase, dispatch, f32x8, i16x16};
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+/// Settings of the illustrative style; the paper's (Fig. 4.10) where it gives them.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Config {
+    /// Share of color contrast (against brightness contrast) in an edge, 0 to 1. Default 0.3.
+    pub alpha: f32,
+    /// Response from which a pixel is an edge, 0 to 10. Default 0.1125.
+    pub edge_threshold: f32,
+    /// Turn of the hatching, degrees, -360 to 360. Default 20.
+    pub theta: f64,
+    /// Size of the hatching pattern, px, 1 to 256. Default 4.
+    pub n: f64,
+    /// Brightness below which strokes are crossed, over 0 up to 1. Default 0.9.
+    pub c_cross: f64,
+    /// Brightening of the picture before it is hatched, 0 to 100. Default 1.6.
+    pub gamma: f32,
+    /// Red of the paper, 0 to 1. Default 1.
+    pub paper_red: f32,
+    /// Green of the paper, 0 to 1. Default 1.
+    pub paper_green: f32,
+    /// Blue of the paper, 0 to 1. Default 0.92.
+    pub paper_blue: f32,
+}
+
+impl Default for Config {
+    fn default() -> Self {
+        Self {
+            alpha: 0.3,
+            edge_threshold: 0.1125,
+            theta: 20.0,
+            n: 4.0,
+            c_cross: 0.9,
+            gamma: 1.6,
+            paper_red: 1.0,
+            paper_green: 1.0,
+            paper_blue: 0.92,
+        }
+    }
+}
+
+impl Config {
+    /// Checks every setting against its range.
+    pub fn validate(&self) -> Result<(), ConfigError> {
+        let check = |key, value: f64, fine: bool, expected| match fine {
+            true => Ok(()),
+            false => Err(ConfigError::Range { style: StyleName::Illustrative, key, value, expected }),
+        };
+        for (key, value) in [
+            ("alpha", self.alpha),
+            ("paper_red", self.paper_red),
+            ("paper_green", self.paper_green),
+            ("paper_blue", self.paper_blue),
+        ] {
+            check(key, value.into(), (0.0..=1.0).contains(&value), "a number from 0 to 1")?;
+        }
+        let (edge, gamma) = (self.edge_threshold, self.gamma);
+        check("edge_threshold", edge.into(), (0.0..=10.0).contains(&edge), "0 to 10")?;
+        check("theta", self.theta, (-360.0..=360.0).contains(&self.theta), "-360 to 360 degrees")?;
+        check("n", self.n, (1.0..=256.0).contains(&self.n), "1 to 256 pixels")?;
+        check("c_cross", self.c_cross, self.c_cross > 0.0 && self.c_cross <= 1.0, "over 0 up to 1")?;
+        check("gamma", gamma.into(), (0.0..=100.0).contains(&gamma), "0 to 100")
+    }
+
+    fn weights(&self) -> Weights {
+        Weights { yuv: [1.0 - self.alpha, self.alpha * 0.5, self.alpha * 0.5], rgb: 0.0 }
+    }
+
+    /// The paper in bytes.
+    fn paper(&self) -> [u8; 3] {
+        [self.paper_red, self.paper_green, self.paper_blue].map(|v| (v * 255.0 + 0.5).floor() as u8)
+    }
+}
+
+/// The style with its buffers.
+pub struct Illustrative {
+    config: Config,
+    level: Level,
+    canvas: Rgb,
+    halftone: Plane<f32>,
+    scratch: Vec<[Lines; 3]>,
+}
+
+/// The intermediate planes of one frame, for inspection.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Stages {
+    /// Edge response.
+    pub response: Plane<f32>,
+    /// Y averaged over 3x3 pixels, 0..1.
+    pub intensity: Plane<f32>,
+    /// Halftone threshold, 0..1.
+    pub halftone: Plane<f32>,
+}
+
+impl Illustrative {
+    /// The style with these settings (see [`Config::validate`]), its bodies at `level`.
+    pub fn new(config: Config, level: Level) -> Self {
+        Self { config, level, canvas: Rgb::default(), halftone: Plane::default(), scratch: Vec::new() }
+    }
+
+    /// The intermediate planes of one frame, computed everywhere; the picture goes to `out` as in [`Style::draw`].
+    /// Slower than drawing, and it allocates.
+    pub fn stages(&mut self, input: StyleInput<'_>, out: &mut Rgb) -> Stages {
+        let mut canvas = std::mem::take(&mut self.canvas);
+        let picture = composite::augmented(&input, &mut canvas);
+        let size = picture.size();
+        out.resize(size);
+        let mut stages = Stages::default();
+        if size.area() > 0 {
+            self.fit(size, size.height);
+            stages.response.resize(size, 0.0);
+            stages.intensity.resize(size, 0.0);
+            stages.halftone = self.halftone.clone();
+            let work = Work { config: &self.config, picture, halftone: &self.halftone };
+            let planes = out.planes.each_mut().map(|plane| plane.view_mut());
+            let kept = Some([stages.response.view_mut(), stages.intensity.view_mut()]);
+            let lines = &mut self.scratch[0];
+            dispatch!(self.level, simd => draw_band::<_, true>(simd, work, 0, lines, planes, kept));
+        }
+        self.canvas = canvas;
+        stages
+    }
+
+    fn fit(&mut self, size: Size, rows: usize) {
+        if self.halftone.size() != size {
+            let Config { theta, n, c_cross, .. } = self.config;
+            self.halftone.resize(size, 0.0);
+            for y in 0..size.height {
+                for (x, to) in self.halftone.row_mut(y).iter_mut().enumerate() {
+                    *to = halftone(theta, n, c_cross, x, y) as f32;
+                }
+            }
+        }
+        let bands = size.height.div_ceil(rows.max(1));
+        if self.scratch.len() < bands {
+            self.scratch.resize_with(bands, Default::default);
+        }
+        self.scratch[..bands].iter_mut().flatten().for_each(|lines| lines.fit(size.width));
+    }
+}
+
+impl Style for Illustrative {
+    const NEEDS: Needs = Needs::COLOR;
+
+    fn draw(&mut self, input: StyleInput<'_>, out: &mut Rgb) {
+        let mut canvas = std::mem::take(&mut self.canvas);
+        let picture = composite::augmented(&input, &mut canvas);
+        let size = picture.size();
+        out.resize(size);
+        if size.area() > 0 {
+            let rows = band_rows(size.height, 8);
+            self.fit(size, rows);
+            let work = Work { config: &self.config, picture, halftone: &self.halftone };
+            let level = self.level;
+            let [r, g, b] = &mut out.planes;
+            let bands = r.view_mut().par_bands(rows).zip(g.view_mut().par_bands(rows));
+            let bands = bands.zip(b.view_mut().par_bands(rows)).zip(&mut self.scratch);
+            bands.for_each(|((((first, r), (_, g)), (_, b)), lines)| {
+                dispatch!(level, simd => draw_band::<_, false>(simd, work, first, lines, [r, g, b], None));
+            });
+        }
+        self.canvas = canvas;
+    }
+}
+
+/// Borrowed inputs of a band.
+#[derive(Clone, Copy)]
+struct Work<'a> {
+    config: &'a Config,
+    picture: &'a Rgb,
+    halftone: &'a Plane<f32>,
+}
+
+/// Draws the rows of one band. `TAP` computes response and brightness everywhere and keeps them.
+#[inline(always)]
+fn draw_band<S: Simd, const TAP: bool>(
+    simd: S,
+    work: Work<'_>,
+    first: usize,
+    lines: &mut [Lines; 3],
+    mut out: [PlaneMut<'_, u8>; 3],
+    mut kept: Option<[PlaneMut<'_, f32>; 2]>,
+) {
+    let Work { config, picture, halftone } = work;
+    let size = picture.size();
+    let (weights, paper) = (config.weights(), config.paper());
+    let quiet = i16x16::splat(simd, weights.quiet(config.edge_threshold));
+    let threshold = f32x8::splat(simd, config.edge_threshold);
+    for (lines, plane) in lines.iter_mut().zip(&picture.planes) {
+        lines.push(0, plane.row(first.saturating_sub(1)));
+        lines.push(1, plane.row(first));
+    }
+    for y in 0..out[0].size().height {
+        for (lines, plane) in lines.iter_mut().zip(&picture.planes) {
+            lines.push(y + 2, plane.row((first + y + 1).min(size.height - 1)));
+        }
+        let tau = halftone.row(first + y);
+        for block in 0..size.width.div_ceil(BLOCK) {
+            let x = BLOCK * block;
+            let count = BLOCK.min(size.width - x);
+            let [r, g, b] = &*lines;
+            let gradients = [r.gradient(simd, y, x), g.gradient(simd, y, x), b.gradient(simd, y, x)];
+            let mut black = 0;
+            let mut response = [f32x8::splat(simd, 0.0); 2];
+            let largest = contrast::largest(simd, &gradients);
+            if TAP || simd.any_true_mask16x16(simd.simd_gt_i16x16(largest, quiet)) {
+                response = contrast::response(simd, &gradients, weights);
+                let low = simd.to_bitmask_mask32x8(simd.simd_ge_f32x8(response[0], threshold));
+                let high = simd.to_bitmask_mask32x8(simd.simd_ge_f32x8(response[1], threshold));
+                black = low | high << 8;
+            }
+            let sums = [r.nine(simd, y, x), g.nine(simd, y, x), b.nine(simd, y, x)];
+            let intensity = brightness(simd, sums);
+            let mut thresholds = [0.0; BLOCK];
+            thresholds[..count].copy_from_slice(&tau[x..x + count]);
+            let of = [f32x8::from_slice(simd, &thresholds[..8]), f32x8::from_slice(simd, &thresholds[8..])];
+            let low = simd.to_bitmask_mask32x8(simd.simd_lt_f32x8(intensity[0] * config.gamma, of[0]));
+            let high = simd.to_bitmask_mask32x8(simd.simd_lt_f32x8(intensity[1] * config.gamma, of[1]));
+            black |= low | high << 8;
+            for (plane, paper) in out.iter_mut().zip(paper) {
+                for (lane, to) in plane.row_mut(y)[x..x + count].iter_mut().enumerate() {
+                    *to = paper & ((black >> lane & 1) as u8).wrapping_sub(1);
+                }
+            }
+            if TAP && let Some(kept) = &mut kept {
+                for (plane, [low, high]) in kept.iter_mut().zip([response, intensity]) {
+                    let mut values = [0.0; BLOCK];
+                    low.store_slice(&mut values[..8]);
+                    high.store_slice(&mut values[8..]);
+                    plane.row_mut(first + y)[x..x + count].copy_from_slice(&values[..count]);
+                }
+            }
+        }
+    }
+}
+
+/// Y in 0..1 of sixteen pixels from the sums of nine R, G, B bytes each.
+#[inline(always)]
+fn brightness<S: Simd>(simd: S, sums: [i16x16<S>; 3]) -> [f32x8<S>; 2] {
+    let mut y = [f32x8::splat(simd, 0.0); 2];
+    for (sum, weight) in sums.into_iter().zip(LUMA) {
+        let (low, high) = simd.widen_i16x16(sum);
+        y[0] += simd.cvt_f32_i32x8(low) * (weight / (9.0 * 255.0));
+        y[1] += simd.cvt_f32_i32x8(high) * (weight / (9.0 * 255.0));
+    }
+    y
+}
