@@ -52,7 +52,7 @@ fn worst(label: &str, found: &(Vec<u64>, Vec<f32>), truth: &(Vec<u64>, Vec<f32>)
 }
 
 fn psnr(found: &[f32], truth: &[f32], peak: f64) -> f64 {
-    let sum: f64 = found.iter().zip(truth).map(|(a, b)| (f64::from(*a) - f64::from(*b)).powi(2)).sum();
+    let sum: f64 = found.iter().zip(truth).map(|(a, b)| square(f64::from(*a) - f64::from(*b))).sum();
     10.0 * (peak * peak * found.len() as f64 / sum.max(1e-30)).log10()
 }
 
@@ -129,7 +129,7 @@ fn ssim(a: &Rgb, b: &Rgb) -> f64 {
     };
     let size = a.size();
     let (w, h) = (8.min(size.width), 8.min(size.height));
-    let (c1, c2) = ((0.01f64 * 255.0).powi(2), (0.03f64 * 255.0).powi(2));
+    let (c1, c2) = (square(0.01 * 255.0), square(0.03 * 255.0));
     let (mut sum, mut count) = (0.0, 0.0);
     for (x0, y0) in
         (0..=size.height - h).step_by(4).flat_map(|y| (0..=size.width - w).step_by(4).map(move |x| (x, y)))
@@ -397,4 +397,8 @@ fn bad_input_is_refused_in_one_clear_line() {
     let done = run(&["--style", "cartoony", input, "--out", out]);
     assert_eq!(done.status.code(), Some(2));
     assert!(String::from_utf8_lossy(&done.stderr).contains("cartoon"));
+}
+
+fn square(v: f64) -> f64 {
+    v * v
 }

@@ -362,7 +362,7 @@ impl Job {
         };
         for (name, planes) in &planes {
             let file = folder.join(name).with_added_extension("npy");
-            write_npy(&file, &planes)
+            write_npy(&file, planes)
                 .with_context(|| format!("{}: cannot write stage", file.display()))
                 .context(Failed("cannot write the stages"))?;
         }

@@ -208,8 +208,8 @@ fn draw_band<S: Simd, const TAP: bool>(
                     for half in 0..2 {
                         let strength = smoothstep(simd, response[half], edges.a0, edges.a_scale);
                         ink[half] += strength * edges.beta;
-                        seen[1][half] = response[half];
                     }
+                    seen[1] = response;
                     inked = true;
                 }
             }
@@ -221,7 +221,7 @@ fn draw_band<S: Simd, const TAP: bool>(
                     [eights[0].expand(simd, columns, narrow), eights[1].expand(simd, columns, narrow)];
                 if inked {
                     for half in 0..2 {
-                        color[half] = color[half] * (f32x8::splat(simd, 1.0) - ink[half]);
+                        color[half] *= f32x8::splat(simd, 1.0) - ink[half];
                     }
                 }
                 let bytes = bytes_of(simd, color);
