@@ -1,7 +1,7 @@
 //! `vernissage bench`: time and error of every stage, side by side, with the machine's facts.
 
 use super::report::machine;
-use super::{demo, pool, progress};
+use super::{demo, pool, progress, say};
 use crate::camera::Synthetic;
 use crate::display::Sink;
 use crate::frame::{Frame, Needs};
@@ -82,16 +82,13 @@ pub fn run(args: Args) -> anyhow::Result<()> {
         (all, Bench::whole),
     ];
     if args.json {
-        println!(
-            "{}",
-            serde_json::json!({ "machine": machine(), "frames": args.frames, "repeat": args.repeat })
-        );
+        say(serde_json::json!({ "machine": machine(), "frames": args.frames, "repeat": args.repeat }))?;
     } else {
-        println!("{}, 640x480, {} frames x {} runs\n", machine(), args.frames, args.repeat);
-        println!(
+        say(format_args!("{}, 640x480, {} frames x {} runs\n", machine(), args.frames, args.repeat))?;
+        say(format_args!(
             "{:<8} {:<22} {:>7} {:>9} {:>9} {:>9}  error",
             "stage", "variant", "threads", "min ms", "median", "p99"
-        );
+        ))?;
     }
     let wanted = parts.iter().filter(|(wanted, _)| *wanted).count() * args.threads.len();
     let bar = progress::bar(Some(wanted as u64), "parts");
@@ -100,7 +97,7 @@ pub fn run(args: Args) -> anyhow::Result<()> {
             let bench = Bench::new(&args, threads)?;
             for (_, part) in parts.iter().filter(|(wanted, _)| *wanted) {
                 for row in part(&bench) {
-                    bar.suspend(|| row.print(args.json));
+                    bar.suspend(|| row.print(args.json))?;
                 }
                 bar.inc(1);
             }
@@ -112,7 +109,7 @@ pub fn run(args: Args) -> anyhow::Result<()> {
 }
 
 impl Row {
-    fn print(&self, json: bool) {
+    fn print(&self, json: bool) -> anyhow::Result<()> {
         let ms = |d: Duration| d.as_secs_f64() * 1e3;
         let Times { min, median, p99 } = self.times;
         if json {
@@ -120,9 +117,9 @@ impl Row {
                 "stage": self.stage, "variant": self.variant, "threads": self.threads, "min_ms": ms(min),
                 "median_ms": ms(median), "p99_ms": ms(p99), "error": self.error,
             });
-            println!("{row}");
+            say(row)
         } else {
-            println!(
+            say(format_args!(
                 "{:<8} {:<22} {:>7} {:>9.3} {:>9.3} {:>9.3}  {}",
                 self.stage,
                 self.variant,
@@ -131,7 +128,7 @@ impl Row {
                 ms(median),
                 ms(p99),
                 self.error
-            );
+            ))
         }
     }
 }

@@ -96,6 +96,7 @@ impl Config {
         if config.threads > 64 {
             return Err(wrong(find_key(text, "threads"), format!("threads = {}: 1 to 64", config.threads)));
         }
+        config.camera.check().map_err(|(key, reason)| wrong(find_key(text, key), reason))?;
         config.style.validate().map_err(|e| wrong(find_key(text, "style"), e.to_string()))?;
         if let Some(lens) = &config.lens {
             lens.check().map_err(|reason| wrong(find_key(text, "lens"), reason))?;
@@ -238,6 +239,17 @@ mod tests {
         );
         assert!(error("threads = 99").contains("1 to 64"));
         assert!(error("threads = ").contains("visor.toml:1"));
+    }
+
+    #[test]
+    fn a_camera_beyond_its_ranges_is_refused() {
+        assert!(error("[camera]\nwidth = 0\n").starts_with("visor.toml:2: camera.width = 0"));
+        assert!(error("[camera]\nfps = nan\n").contains("camera.fps = NaN"));
+        let text = "[camera]\nsource = \"synthetic\"\n[camera.synthetic]\nid = 587\n";
+        assert!(
+            error(text).starts_with("visor.toml:4: camera.synthetic.id = 587: tag36h11 has ids 0 to 586")
+        );
+        assert!(error("[camera.synthetic]\nside_mm = inf\n").contains("camera.synthetic.side_mm = inf"));
     }
 
     #[test]

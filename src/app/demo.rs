@@ -2,7 +2,7 @@
 
 use super::config::Config;
 use super::report::{machine, ms};
-use super::{Failed, pool};
+use super::{Failed, pool, say};
 use crate::camera::{Synthetic, SyntheticConfig};
 use crate::display::Sink;
 use crate::frame::Frame;
@@ -50,7 +50,8 @@ const MOMENTS: u64 = 3;
 
 pub fn run(args: Args) -> anyhow::Result<()> {
     std::fs::create_dir_all(&args.out)
-        .with_context(|| format!("{}: cannot make this folder", args.out.display()))?;
+        .with_context(|| format!("{}: cannot make this folder", args.out.display()))
+        .context(Failed("cannot write the pictures"))?;
     pool(args.threads)?.install(|| play(&args))
 }
 
@@ -128,8 +129,7 @@ fn play(args: &Args) -> anyhow::Result<()> {
     bar.finish_and_clear();
     let path = args.out.join("sheet.png");
     picture::write_png(&path, &sheet.picture).context(Failed("cannot write the sheet"))?;
-    tally.print(args, camera.lens().size, &path);
-    Ok(())
+    tally.print(args, camera.lens().size, &path)
 }
 
 impl Tally {
@@ -139,32 +139,42 @@ impl Tally {
         self.translation_percent.push(100.0 * miss / truth.translation.length());
     }
 
-    fn print(&mut self, args: &Args, size: Size, path: &Path) {
+    fn print(&mut self, args: &Args, size: Size, path: &Path) -> anyhow::Result<()> {
         let frames = self.latency.count();
         let style = args.style;
-        println!("{}, {} threads, {size}, style {style}", machine(), args.threads);
+        say(format_args!("{}, {} threads, {size}, style {style}", machine(), args.threads))?;
         let rate = frames as f64 / self.spent.as_secs_f64().max(1e-9);
-        println!("frames      {frames}, {rate:.0} frames/s (the synthetic camera's own drawing not counted)");
-        println!("tracked     {} of {} frames that show the marker", self.tracked, self.shown);
+        say(format_args!(
+            "frames      {frames}, {rate:.0} frames/s (the synthetic camera's own drawing not counted)"
+        ))?;
+        say(format_args!("tracked     {} of {} frames that show the marker", self.tracked, self.shown))?;
         let (rotation, translation) = (spread(&mut self.rotation_deg), spread(&mut self.translation_percent));
-        println!("pose error  rotation median {:.3}°, max {:.3}°", rotation.0, rotation.1);
-        println!(
+        say(format_args!("pose error  rotation median {:.3}°, max {:.3}°", rotation.0, rotation.1))?;
+        say(format_args!(
             "            translation median {:.3} %, max {:.3} % of the distance",
             translation.0, translation.1
-        );
-        println!("\nstage      median ms    p99 ms");
+        ))?;
+        say(format_args!("\nstage      median ms    p99 ms"))?;
         for stage in Stage::ALL {
             let record = &self.stages[stage as usize];
-            println!(
+            say(format_args!(
                 "{:<9} {:>10} {:>9}",
                 stage.name(),
                 ms(record.percentile(0.5)),
                 ms(record.percentile(0.99))
-            );
+            ))?;
         }
         let latency = &self.latency;
-        println!("{:<9} {:>10} {:>9}", "in → out", ms(latency.percentile(0.5)), ms(latency.percentile(0.99)));
-        println!("\npicture     {} (rows: three moments; columns: input, plain AR, {style})", path.display());
+        say(format_args!(
+            "{:<9} {:>10} {:>9}",
+            "in → out",
+            ms(latency.percentile(0.5)),
+            ms(latency.percentile(0.99))
+        ))?;
+        say(format_args!(
+            "\npicture     {} (rows: three moments; columns: input, plain AR, {style})",
+            path.display()
+        ))
     }
 }
 

@@ -3,7 +3,7 @@
 //! A job line: `{"image", "family", "size", "camera": {"w","h","fx","fy","cx","cy","dist"}, "seq", "frame"}`; an
 //! output line: `{"schema":"markers/1", "image", "ms", "detections"}`, times of the search alone, pictures in memory.
 
-use super::Failed;
+use super::{Failed, say};
 use crate::geometry::Lens;
 use crate::marker::Family;
 use crate::pixels::{Plane, Size, picture, simd};
@@ -12,22 +12,27 @@ use crate::{frame::Sighting, frame::Solved};
 use anyhow::{Context, bail, ensure};
 use glam::DVec2;
 use serde::{Deserialize, Serialize};
-use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 /// Finds markers in the pictures of a job file and prints one JSON line a picture.
+///
+/// A job line: {"image": "a.pgm", "family": "tag36h11", "size": 80, "camera": {"w": 640, "h": 480, "fx": 600,
+/// "fy": 600, "cx": 319.5, "cy": 239.5, "dist": [k1, k2, p1, p2, k3]}, "seq": null, "frame": null}. Pose and
+/// size share a unit. An output line: {"schema": "markers/1", "image", "ms", "detections": [{"family", "id",
+/// "corners", "hamming", "score", "pose", "pose_alt"}]}; ms = one search, picture in memory.
 #[derive(clap::Args)]
+#[command(after_help = "Example:\n  vernissage detect --job job.jsonl --threads 2 --repeat 20 > found.jsonl")]
 pub struct Args {
     /// Job file: a JSON object a line with image, family, size and camera
     #[arg(long, value_name = "JOB.jsonl")]
     job: PathBuf,
     /// Worker threads, 1 to 64
-    #[arg(long, default_value_t = 2)]
+    #[arg(long, default_value_t = 2, value_name = "N")]
     threads: usize,
     /// How often each picture is searched; every time is reported
-    #[arg(long, default_value_t = 1)]
-    repeat: usize,
+    #[arg(long, default_value_t = 1, value_name = "K", value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
+    repeat: u32,
     /// Every picture on its own, or sequences with what is known from the picture before
     #[arg(long, value_enum, default_value_t = Mode::Detect)]
     mode: Mode,
@@ -110,19 +115,17 @@ struct Placed {
 }
 
 pub fn run(args: Args) -> anyhow::Result<()> {
-    ensure!(args.repeat >= 1, "--repeat {}: give 1 or more", args.repeat);
     if args.mode == Mode::Track {
         ensure!(args.repeat == 1, "--mode track searches each picture once: leave --repeat at 1");
     }
     let pool = super::pool(args.threads)?;
     let jobs = load(&args.job)?;
     pool.install(|| {
-        let mut out = std::io::stdout().lock();
         let mut tracker = Tracker::new(track::Config::default(), simd::best());
         for job in jobs.iter().cycle().take(if jobs.is_empty() { 0 } else { 3 }) {
             tracker.find(job.gray.view(), &job.lens, std::slice::from_ref(&job.wanted));
         }
-        let mut ms = Vec::with_capacity(args.repeat);
+        let mut ms = Vec::with_capacity(args.repeat as usize);
         for job in &jobs {
             ms.clear();
             let mut detections = Vec::new();
@@ -136,7 +139,7 @@ pub fn run(args: Args) -> anyhow::Result<()> {
             }
             let report = Report { schema: "markers/1", image: &job.name, ms: &ms, detections };
             let line = serde_json::to_string(&report).context(Failed("cannot write the result"))?;
-            writeln!(out, "{line}").context(Failed("cannot write the result"))?;
+            say(line)?;
         }
         Ok(())
     })
@@ -165,7 +168,7 @@ fn job(path: &Path, line: &str) -> anyhow::Result<Job> {
     let lens = match line.camera {
         Some(camera) => lens(&camera, gray.size())?,
         None => {
-            eprintln!("vernissage: {}: no camera given, guessing fx = fy = max(W, H)", line.image.display());
+            log::warn!("{}: no camera given, guessing fx = fy = max(W, H)", line.image.display());
             Lens::guess(gray.size())
         }
     };

@@ -1,6 +1,6 @@
 //! `vernissage draw`: one model, one camera, raw depth and normals for measuring the rasteriser.
 
-use super::Failed;
+use super::{Failed, say};
 use crate::frame::{Layer, Needs};
 use crate::geometry::Lens;
 use crate::marker::Family;
@@ -10,22 +10,23 @@ use crate::scene::{Anchor, BUILTIN, Light, Mesh, Model, Scene, Shading, builtin}
 use anyhow::{Context, bail, ensure};
 use clap::ValueEnum;
 use glam::{DAffine3, DMat3, DVec2, DVec3};
-use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 /// Draw one model as a camera file sees it: PREFIX_color.png, _depth.f32 (camera z, +inf outside) and
 /// _normal.f32 (camera space), raw little-endian, row 0 on top
 #[derive(clap::Args)]
+#[command(after_help = "Examples:\n  vernissage draw --model teapot --camera cam.json --out teapot\n  \
+    vernissage draw --model bunny.obj --camera cam.json --out bunny --peel --repeat 100 --json")]
 pub struct Args {
     /// OBJ file, or the name of a built-in model (teapot, spot)
-    #[arg(long)]
+    #[arg(long, value_name = "M.obj")]
     model: PathBuf,
     /// JSON with width, height, fx, fy, cx, cy, near, far, world_to_camera (16 numbers, row by row)
-    #[arg(long)]
+    #[arg(long, value_name = "CAM.json")]
     camera: PathBuf,
     /// Where the output files' names begin
-    #[arg(long)]
+    #[arg(long, value_name = "PREFIX")]
     out: PathBuf,
     /// How intensity becomes color
     #[arg(long, value_enum, default_value_t = ShadingName::Smooth)]
@@ -37,12 +38,12 @@ pub struct Args {
     #[arg(long, value_enum, default_value_t = Cull::None)]
     cull: Cull,
     /// Threads used at most
-    #[arg(long, default_value_t = 2)]
+    #[arg(long, default_value_t = 2, value_name = "N")]
     threads: usize,
     /// Time this many draws into memory, after three more: color and depth, with --peel normals and the
     /// second layer too
-    #[arg(long, value_name = "K")]
-    repeat: Option<usize>,
+    #[arg(long, value_name = "K", value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
+    repeat: Option<u32>,
     /// Print one JSON line: model, vertices, triangles, threads, ms
     #[arg(long)]
     json: bool,
@@ -128,13 +129,12 @@ pub fn run(args: Args) -> anyhow::Result<()> {
 
     let report = Report { model: &name, vertices, triangles, threads: args.threads, ms };
     if args.json {
-        println!("{}", serde_json::to_string(&report)?);
+        say(serde_json::to_string(&report)?)?;
     } else if let Some(least) = report.ms.iter().copied().reduce(f64::min) {
-        println!(
-            "{name}: {vertices} vertices, {triangles} triangles, {} threads: {least:.3} ms (least of {})",
-            args.threads,
-            report.ms.len()
-        );
+        let (threads, times) = (args.threads, report.ms.len());
+        say(format_args!(
+            "{name}: {vertices} vertices, {triangles} triangles, {threads} threads: {least:.3} ms (least of {times})"
+        ))?;
     }
     Ok(())
 }
@@ -146,7 +146,7 @@ fn load(path: &Path) -> anyhow::Result<Mesh> {
     {
         return Ok(mesh);
     }
-    Mesh::load(path).with_context(|| format!("give an OBJ file or one of {}", BUILTIN.join(", ")))
+    Mesh::load(path).map_err(|e| anyhow::anyhow!("{e}; give an OBJ file or one of {}", BUILTIN.join(", ")))
 }
 
 fn read_camera(path: &Path) -> anyhow::Result<(Camera, DAffine3)> {
@@ -190,7 +190,7 @@ fn write(layer: &Layer, prefix: &Path, peel: bool) -> anyhow::Result<()> {
         path.push(ending);
         PathBuf::from(path)
     };
-    picture::write_png(&path("_color.png"), &layer.color).context("choose another --out")?;
+    picture::write_png(&path("_color.png"), &layer.color)?;
     write_raw(&path("_depth.f32"), &[&layer.depth])?;
     write_raw(&path("_normal.f32"), &layer.normal.each_ref())?;
     if peel {
@@ -211,9 +211,7 @@ fn write_raw(path: &Path, planes: &[&Plane<f32>]) -> anyhow::Result<()> {
             }
         }
     }
-    let mut file = std::fs::File::create(path)
-        .with_context(|| format!("{}: cannot write; choose another --out", path.display()))?;
-    file.write_all(&bytes)
+    std::fs::write(path, &bytes)
+        .with_context(|| format!("{}: cannot write; choose another --out", path.display()))
         .context(Failed("cannot write the output files"))
-        .with_context(|| format!("{}", path.display()))
 }

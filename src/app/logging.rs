@@ -3,6 +3,7 @@
 //! error = a bug; warn = odd hardware or settings; info = what a technician wants to know; debug = the rest.
 
 use log::{Level, LevelFilter, Log, Metadata, Record};
+use std::io::Write;
 
 struct Stderr {
     /// Whether stderr goes to the journal.
@@ -17,6 +18,12 @@ pub fn start() {
     if log::set_boxed_logger(Box::new(logger)).is_ok() {
         log::set_max_level(wanted.unwrap_or(LevelFilter::Info));
     }
+}
+
+/// A line on stderr, if anyone takes it: the journal may restart under a visor that runs for months, and
+/// `eprintln!` would panic.
+pub fn line(text: std::fmt::Arguments<'_>) {
+    let _ = writeln!(std::io::stderr(), "{text}");
 }
 
 impl Log for Stderr {
@@ -35,9 +42,10 @@ impl Log for Stderr {
                 Level::Info => 6,
                 Level::Debug | Level::Trace => 7,
             };
-            eprintln!("<{priority}>{}", record.args());
+            line(format_args!("<{priority}>{}", record.args()));
         } else {
-            eprintln!("vernissage: {}: {}", record.level().as_str().to_lowercase(), record.args());
+            let level = record.level().as_str().to_lowercase();
+            line(format_args!("vernissage: {level}: {}", record.args()));
         }
     }
 

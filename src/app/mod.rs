@@ -16,7 +16,12 @@ mod report;
 mod run;
 mod stylize;
 
+use crate::camera::CameraError;
+use crate::display::DisplayError;
+use crate::pixels::picture::PictureError;
 use clap::{Parser, Subcommand};
+use std::fmt::Display;
+use std::io::{ErrorKind, Write};
 use std::process::ExitCode;
 
 /// Turns an ARM board, a camera and a small display into a stylised-reality visor.
@@ -61,11 +66,50 @@ pub fn main() -> ExitCode {
     };
     match done {
         Ok(()) => ExitCode::SUCCESS,
+        // `vernissage detect .. | head -1`: whoever read has what they wanted
+        Err(error) if error.downcast_ref::<ReaderGone>().is_some() => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("vernissage: {error:#}");
-            ExitCode::from(if error.downcast_ref::<Failed>().is_some() { 1 } else { 2 })
+            logging::line(format_args!("vernissage: {}", one_line(&error)));
+            ExitCode::from(if is_failure(&error) { 1 } else { 2 })
         }
     }
+}
+
+/// Whether the work failed, rather than what was asked for: marked so, or something could not be written.
+fn is_failure(error: &anyhow::Error) -> bool {
+    error.downcast_ref::<Failed>().is_some()
+        || error.chain().any(|cause| {
+            matches!(cause.downcast_ref(), Some(PictureError::Write { .. }))
+                || matches!(cause.downcast_ref(), Some(DisplayError::Write { .. }))
+                || matches!(cause.downcast_ref(), Some(CameraError::Write { .. }))
+        })
+}
+
+/// The error and its causes in one line; a cause that the text before it already tells is not told again.
+fn one_line(error: &anyhow::Error) -> String {
+    let mut line = String::new();
+    for cause in error.chain() {
+        let text = cause.to_string();
+        if line.is_empty() {
+            line = text;
+        } else if !line.contains(&text) {
+            line = format!("{line}: {text}");
+        }
+    }
+    line.lines().map(str::trim).collect::<Vec<_>>().join(" ")
+}
+
+/// Nobody reads stdout any longer.
+#[derive(Debug, thiserror::Error)]
+#[error("the reader of stdout has gone")]
+struct ReaderGone;
+
+/// Prints a line on stdout. `println!` would panic where stdout is closed or full.
+pub(crate) fn say(line: impl Display) -> anyhow::Result<()> {
+    writeln!(std::io::stdout(), "{line}").map_err(|error| match error.kind() {
+        ErrorKind::BrokenPipe => ReaderGone.into(),
+        _ => anyhow::Error::new(error).context(Failed("cannot write to stdout")),
+    })
 }
 
 /// A pool of `threads` workers: everything a command computes runs inside it.

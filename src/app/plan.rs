@@ -1,6 +1,7 @@
 //! `vernissage plan`: what would run for a scene, what is skipped, and why.
 
 use super::config::Loaded;
+use super::say;
 use crate::pipeline::{Pipeline, View};
 use crate::pixels::{Size, simd};
 use std::path::PathBuf;
@@ -18,19 +19,27 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     let Loaded { config, scene } = Loaded::read(&args.config)?;
     let size = Size::new(config.camera.width, config.camera.height);
     let (lens, warning) = config.lens(size);
-    println!("style   {}", config.style.name);
+    say(format_args!("style   {}", config.style.name))?;
     for model in &scene.models {
         let (anchor, triangles) = (model.anchor, model.mesh.triangles.len());
         let id = anchor.id.map_or("any".to_string(), |id| id.to_string());
-        println!("model   {} ({triangles} triangles) on {} {id}", model.name, anchor.family.name());
+        say(format_args!("model   {} ({triangles} triangles) on {} {id}", model.name, anchor.family.name()))?;
     }
-    println!("lens    {}", warning.unwrap_or_else(|| format!("calibrated, {size}")));
+    say(format_args!(
+        "lens    {}",
+        match (config.camera.source, warning) {
+            (crate::camera::Kind::Synthetic, _) =>
+                format!("exact, {size}: the synthetic camera knows its own"),
+            (_, Some(warning)) => warning,
+            (_, None) => format!("calibrated, {size}"),
+        }
+    ))?;
     let empty = scene.models.is_empty();
     let count = scene.models.len();
     let pipeline = Pipeline::new(scene, lens, config.track, &config.style, simd::best());
-    println!("\nno marker in view\n{}", pipeline.plan(View::Models(0)));
+    say(format_args!("\nno marker in view\n{}", pipeline.plan(View::Models(0))))?;
     if !empty {
-        println!("markers in view\n{}", pipeline.plan(View::Models(count)));
+        say(format_args!("markers in view\n{}", pipeline.plan(View::Models(count))))?;
     }
     Ok(())
 }

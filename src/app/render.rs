@@ -1,7 +1,7 @@
 //! `vernissage render`: the same pipeline offline, every frame, into a clip or a folder.
 
 use super::config::{Config, Loaded};
-use super::{Failed, pool, progress};
+use super::{Failed, logging, pool, progress, say};
 use crate::camera::{self, Grab, Source};
 use crate::display::{self, Sink};
 use crate::frame::{Frame, Sighting};
@@ -45,16 +45,21 @@ pub struct Args {
 pub fn run(args: Args) -> anyhow::Result<()> {
     let Loaded { config, scene } = Loaded::read(&args.config)?;
     let camera = input(&args, &config);
-    let source = Source::open(&camera)?;
     ensure!(
         !(args.json && args.out == Path::new("-")),
         "--json and --out - both want stdout: write to a file"
     );
     ensure!(
-        args.trace.is_some() || !matches!(source, Source::V4l2(_)),
+        camera.source != camera::Kind::V4l2,
         "{}: its camera never ends; give --input or --trace",
         args.config.display()
     );
+    ensure!(
+        camera.source != camera::Kind::Synthetic || camera.synthetic.frames > 0,
+        "{}: its camera never ends; set camera.synthetic.frames, or give --input or --trace",
+        args.config.display()
+    );
+    let source = Source::open(&camera)?;
     let threads = args.threads.unwrap_or(config.threads());
     let mut pipeline = {
         let lens = source.lens().unwrap_or(config.lens(source.size()).0);
@@ -126,7 +131,7 @@ fn draw_all(
         };
         sink.present(drawn.canvas).context(Failed("cannot write the drawn frame"))?;
         if args.json {
-            println!("{}", line(frames, &drawn));
+            say(line(frames, &drawn))?;
         }
         frames += 1;
         with_model += u64::from(drawn.models > 0);
@@ -145,9 +150,9 @@ fn draw_all(
     }
     bar.finish_and_clear();
     ensure!(frames > 0, "no frames came: is the clip or folder empty?");
-    eprintln!("{frames} frames drawn, {with_model} with a model");
+    logging::line(format_args!("{frames} frames drawn, {with_model} with a model"));
     if compared > 0 {
-        eprintln!("replay: {same} of {compared} shown frames identical");
+        logging::line(format_args!("replay: {same} of {compared} shown frames identical"));
     }
     Ok((compared > 0).then_some((same, compared)))
 }

@@ -3,10 +3,10 @@
 
 use super::config::Loaded;
 use super::report::ms;
-use super::{Failed, pool};
+use super::{Failed, pool, say};
 use crate::camera::{self, CameraError, Grab, RawFormat, RawRef, Source, trace};
 use crate::display::{self, Sink};
-use crate::frame::Frame;
+use crate::frame::{Frame, now};
 use crate::pipeline::{Pipeline, Reader, Record, Stage, Writer, latest};
 use crate::pixels::simd;
 use anyhow::Context;
@@ -69,18 +69,23 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     }
     pool(config.threads())?.install(|| {
         let (writer, reader) = latest(Captured::default(), std::thread::current());
-        std::thread::scope(|scope| {
-            let camera = std::thread::Builder::new().name("camera".into());
-            let stopped = &stop;
-            let (settings, keep_raw) = (&config.camera, args.trace.is_some());
-            camera
-                .spawn_scoped(scope, move || watch(source, settings, keep_raw, writer, stopped))
-                .context(Failed("cannot start the camera's thread"))?;
-            let shown =
-                Show { pipeline, sink, trace, display: &config.display, args: &args }.all(reader, &stop);
-            stop.store(true, Ordering::Relaxed);
-            shown
-        })
+        let camera = std::thread::Builder::new().name("camera".into());
+        let (stopped, settings, keep_raw) = (stop.clone(), config.camera.clone(), args.trace.is_some());
+        let camera = camera
+            .spawn(move || watch(source, &settings, keep_raw, writer, &stopped))
+            .context(Failed("cannot start the camera's thread"))?;
+        let shown = Show { pipeline, sink, trace, display: &config.display, args: &args }.all(reader, &stop);
+        stop.store(true, Ordering::Relaxed);
+        // a camera is closed in order; a thread that hangs in a read (a pipe that nobody fills) ends with us
+        let deadline = Instant::now() + 2 * PATIENCE;
+        while !camera.is_finished() && Instant::now() < deadline {
+            std::thread::sleep(Duration::from_millis(5));
+        }
+        if !camera.is_finished() {
+            return shown;
+        }
+        // a panic there has been reported; what was shown decides
+        shown.and(camera.join().unwrap_or(Ok(())).map_err(Into::into))
     })
 }
 
@@ -91,18 +96,26 @@ fn watch(
     keep_raw: bool,
     mut writer: Writer<Captured>,
     stop: &AtomicBool,
-) {
+) -> Result<(), CameraError> {
     source.keep_raw(keep_raw);
     // a pool of its own: conversions on this thread must not wake the pipeline's workers
-    let Ok(alone) = rayon::ThreadPoolBuilder::new().num_threads(1).build() else {
-        log::error!("camera: cannot start its worker");
-        return;
+    let Ok(alone) = rayon::ThreadPoolBuilder::new().num_threads(1).use_current_thread().build() else {
+        log::error!("camera: cannot set its thread up");
+        return Ok(());
     };
-    alone.install(|| {
+    let (started, mut first) = (now(), None);
+    alone.install(move || {
         while !stop.load(Ordering::Relaxed) && !writer.is_abandoned() {
             let grabbed = {
                 let mut buffer = writer.buffer();
                 let grabbed = source.next(&mut buffer.frame, PATIENCE);
+                if !source.is_live() && matches!(grabbed, Ok(Grab::Frame)) {
+                    // a file has no clock of its own: it plays at its frame rate, from now on
+                    let first = *first.get_or_insert(buffer.frame.captured_at);
+                    let due = started + buffer.frame.captured_at.saturating_sub(first);
+                    wait_until(due, stop);
+                    buffer.frame.captured_at = now();
+                }
                 if let (Ok(Grab::Frame), Some(raw)) = (&grabbed, source.raw()) {
                     let (format, bytes) = buffer.raw.get_or_insert_with(|| (raw.format, Vec::new()));
                     *format = raw.format;
@@ -113,20 +126,32 @@ fn watch(
             };
             match grabbed {
                 Ok(Grab::Frame) => writer.publish(),
-                Ok(Grab::End) => return,
+                Ok(Grab::End) => return Ok(()),
                 Ok(Grab::Timeout) => log::warn!("camera: no picture for {PATIENCE:?}"),
+                Err(error) if !source.is_live() => return Err(error),
                 Err(error) => {
                     log::warn!("camera: {error}; opening it again");
                     // the driver frees a lost device only when every descriptor on it is closed
                     drop(source);
                     match reopen(settings, keep_raw, stop) {
                         Some(opened) => source = opened,
-                        None => return,
+                        None => return Ok(()),
                     }
                 }
             }
         }
-    });
+        Ok(())
+    })
+}
+
+/// Sleeps until `due` on the monotonic clock, but wakes early to stop.
+fn wait_until(due: Duration, stop: &AtomicBool) {
+    while let Some(left) = due.checked_sub(now()).filter(|left| !left.is_zero()) {
+        if stop.load(Ordering::Relaxed) {
+            return;
+        }
+        std::thread::park_timeout(left.min(Duration::from_millis(100)));
+    }
 }
 
 /// Opens the camera again, however long it takes; `None` when told to stop.
@@ -215,7 +240,12 @@ impl Show<'_> {
             for stage in Stage::ALL.into_iter().skip(1) {
                 figures.stages[stage as usize].push(drawn.timings.of(stage));
             }
-            if let (Some(trace), Some((format, bytes))) = (&mut self.trace, &captured.raw) {
+            if let Some(trace) = &mut self.trace {
+                let Some((format, bytes)) = &captured.raw else {
+                    anyhow::bail!(
+                        "--trace: this source has no raw bytes to keep; trace a camera or a Y4M clip"
+                    );
+                };
                 let mode = self.sink.mode().unwrap_or(frame.size());
                 // what the screen shows; without one, what a screen of the picture's size would show
                 let hash = self.sink.scan_out_hash().unwrap_or_else(|| {
@@ -242,9 +272,9 @@ impl Show<'_> {
             trace.finish().context(Failed("cannot write the trace"))?;
         }
         if self.args.json {
-            println!("{}", figures.json(start.elapsed(), reader.replaced()));
+            say(figures.json(start.elapsed(), reader.replaced()))?;
         } else {
-            println!("{}", figures.line(start.elapsed(), reader.replaced()));
+            say(figures.line(start.elapsed(), reader.replaced()))?;
         }
         Ok(())
     }

@@ -1,6 +1,6 @@
 //! `vernissage stylize`: pictures through a style, without a camera or models; also the styles' stopwatch.
 
-use super::Failed;
+use super::{Failed, say};
 use crate::frame::Frame;
 use crate::kernel::interleave;
 use crate::pixels::{Plane, Rgb, Size, picture, simd};
@@ -27,9 +27,11 @@ const WARM_UP: u32 = 3;
   vernissage stylize --style cartoon photo.jpg --repeat 100 --json      time it
 
 Settings of cartoon (--set): shrunk_width, shrunk_height (0: from the frame), sigma_p, steps, alpha, beta,
-s0, s1, a0, a1. Settings of watercolor: cell, alpha, beta, threshold, min_edge, retile_every, seed, sites
-(a .npy file, N x 2; the stage `sites` of one run may be fed to the next). Settings of illustrative: alpha,
-edge_threshold, theta, n, c_cross, gamma, paper_red, paper_green, paper_blue. The result is the same for any number of threads and on any processor.")]
+s0, s1, a0, a1. Of bilateral-cartoon: levels, iterations, sigma_d, sigma_r, t1, t2. Of sketch-like: t1, t2.
+Of watercolor: cell, alpha, beta, threshold, min_edge, retile_every, seed, sites (a .npy file, N x 2; the
+stage `sites` of one run may be fed to the next). Of illustrative: alpha, edge_threshold, theta, n, c_cross,
+gamma, paper_red, paper_green, paper_blue.
+The result is the same for any number of threads and on any processor.")]
 pub struct Args {
     /// Pictures, or folders of pictures.
     #[arg(required = true, value_name = "INPUT")]
@@ -47,13 +49,14 @@ pub struct Args {
     #[arg(long, value_name = "FILE|DIR", required_unless_present_any = ["repeat", "stages"])]
     out: Option<PathBuf>,
     /// Also writes the style's intermediate planes there as NAME.npy (f32, rows x columns [x channels]); with
-    /// several inputs each gets a folder of its name. cartoon: small S eS eA I; watercolor: labels means
-    /// response edge sites; illustrative: response intensity halftone.
+    /// several inputs each gets a folder of its name. cartoon: small S eS eA I; bilateral-cartoon: pyramid
+    /// filtered edges; sketch-like: edges; watercolor: labels means response edge sites;
+    /// illustrative: response intensity halftone.
     #[arg(long, value_name = "DIR")]
     stages: Option<PathBuf>,
     /// Draws every input this often, from scratch each time, and prints the times: interleaved RGB bytes in
     /// memory to interleaved RGB bytes in memory, after three warm-up frames.
-    #[arg(long, value_name = "K")]
+    #[arg(long, value_name = "K", value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     repeat: Option<u32>,
     /// Prints the times as one JSON object an input: {"image", "style", "threads", "ms": [...]}.
     #[arg(long, requires = "repeat")]
@@ -177,23 +180,19 @@ fn outputs(args: &Args, pictures: &[PathBuf]) -> anyhow::Result<Vec<Output>> {
 fn report(args: &Args, path: &Path, times: &[f64]) -> anyhow::Result<()> {
     if args.json {
         let rounded: Vec<f64> = times.iter().map(|ms| (ms * 1e4).round() / 1e4).collect();
-        println!(
-            "{}",
-            serde_json::json!({
-                "image": path.to_string_lossy(),
-                "style": args.style.name(),
-                "threads": args.threads,
-                "ms": rounded,
-            })
-        );
+        say(serde_json::json!({
+            "image": path.to_string_lossy(),
+            "style": args.style.name(),
+            "threads": args.threads,
+            "ms": rounded,
+        }))
     } else {
         let mut sorted = times.to_vec();
         sorted.sort_by(f64::total_cmp);
         let (least, middle) = (sorted.first().copied(), sorted.get(sorted.len() / 2).copied());
         let (least, middle) = (least.unwrap_or(0.0), middle.unwrap_or(0.0));
-        println!("{}: {least:.2} ms at best, {middle:.2} ms in the middle", path.display());
+        say(format_args!("{}: {least:.2} ms at best, {middle:.2} ms in the middle", path.display()))
     }
-    Ok(())
 }
 
 /// One style and the buffers of one picture on its way through it.
@@ -260,11 +259,11 @@ impl Job {
     fn write_stages(&mut self, folder: &Path) -> anyhow::Result<()> {
         self.draw();
         let input = StyleInput { frame: &self.frame, layer: None };
-        let planes: Vec<(&str, Vec<Plane<f32>>)> = match self.config.name {
+        let (config, level, out) = (&self.config, self.level, &mut self.canvas);
+        let planes: Vec<(&str, Vec<Plane<f32>>)> = match config.name {
             StyleName::Plain => bail!("style plain has no stages"),
             StyleName::Cartoon => {
-                let mut style = style::cartoon::Cartoon::new(self.config.cartoon, self.level);
-                let stages = style.stages(input, &mut self.canvas);
+                let stages = style::cartoon::Cartoon::new(config.cartoon, level).stages(input, out);
                 vec![
                     ("small", stages.small.into()),
                     ("S", stages.simplified.into()),
@@ -273,10 +272,22 @@ impl Job {
                     ("I", vec![stages.lines]),
                 ]
             }
+            StyleName::BilateralCartoon => {
+                let mut style = style::bilateral::BilateralCartoon::new(config.bilateral_cartoon, level);
+                let stages = style.stages(input, out);
+                vec![
+                    ("pyramid", stages.pyramid.into()),
+                    ("filtered", stages.filtered.into()),
+                    ("edges", vec![stages.edges]),
+                ]
+            }
+            StyleName::SketchLike => {
+                let mut style = style::bilateral::SketchLike::new(config.sketch_like, level);
+                vec![("edges", vec![style.edges(input, out)])]
+            }
             StyleName::Watercolor => {
-                let config = self.config.watercolor.clone();
-                let stages =
-                    style::watercolor::Watercolor::new(config, self.level).stages(input, &mut self.canvas);
+                let config = config.watercolor.clone();
+                let stages = style::watercolor::Watercolor::new(config, level).stages(input, out);
                 vec![
                     ("labels", vec![stages.labels]),
                     ("means", vec![stages.means]),
@@ -286,9 +297,8 @@ impl Job {
                 ]
             }
             StyleName::Illustrative => {
-                let config = self.config.illustrative;
-                let stages = style::illustrative::Illustrative::new(config, self.level)
-                    .stages(input, &mut self.canvas);
+                let stages =
+                    style::illustrative::Illustrative::new(config.illustrative, level).stages(input, out);
                 vec![
                     ("response", vec![stages.response]),
                     ("intensity", vec![stages.intensity]),
@@ -296,9 +306,9 @@ impl Job {
                 ]
             }
         };
-        for (name, planes) in planes {
+        for (name, planes) in &planes {
             let file = folder.join(name).with_added_extension("npy");
-            write_npy(&file, &planes)
+            write_npy(&file, planes)
                 .with_context(|| format!("{}: cannot write stage", file.display()))
                 .context(Failed("cannot write the stages"))?;
         }

@@ -142,6 +142,32 @@ impl Config {
         }
     }
 
+    /// The first setting beyond its range: its key and what to do.
+    pub fn check(&self) -> Result<(), (&'static str, String)> {
+        for (key, side) in [("width", self.width), ("height", self.height)] {
+            if !(1..=LARGEST).contains(&side) {
+                return Err((key, format!("camera.{key} = {side}: give 1 to {LARGEST} px")));
+            }
+        }
+        if !(1.0..=1000.0).contains(&self.fps) {
+            return Err(("fps", format!("camera.fps = {}: give 1 to 1000", self.fps)));
+        }
+        let SyntheticConfig { family, id, side_mm, k1, pace, .. } = self.synthetic;
+        let codes = family.codes().len();
+        if id as usize >= codes {
+            let family = family.name();
+            return Err(("id", format!("camera.synthetic.id = {id}: {family} has ids 0 to {}", codes - 1)));
+        }
+        // beyond these nothing can be seen
+        let ranges = [("side_mm", side_mm, 1.0, 1000.0), ("k1", k1, -1.0, 1.0), ("pace", pace, 0.0, 100.0)];
+        for (key, value, low, high) in ranges {
+            if !(low..=high).contains(&value) {
+                return Err((key, format!("camera.synthetic.{key} = {value}: give {low} to {high}")));
+            }
+        }
+        Ok(())
+    }
+
     /// What a camera is asked for.
     pub fn wish(&self) -> Wish {
         let fps = if self.fps.is_finite() { self.fps.clamp(1.0, 1000.0) } else { 30.0 };
@@ -220,6 +246,14 @@ pub enum CameraError {
         /// What the system said.
         source: std::io::Error,
     },
+    /// A trace cannot be written.
+    #[error("{name}: cannot write the trace: {source}; check the path and the free space")]
+    Write {
+        /// The file.
+        name: String,
+        /// What the system said.
+        source: std::io::Error,
+    },
     /// A file is not what it should be.
     #[error("{name}: {reason}")]
     Format {
@@ -289,6 +323,15 @@ impl Source {
             Source::Trace(_) => None,
             Source::Synthetic(table) => Some(table.fps()),
         }
+    }
+
+    /// Whether pictures come when the device takes them, not when they are asked for.
+    pub fn is_live(&self) -> bool {
+        #[cfg(target_os = "linux")]
+        let live = matches!(self, Source::V4l2(_));
+        #[cfg(not(target_os = "linux"))]
+        let live = false;
+        live
     }
 
     /// How many frames there are in all, where known.

@@ -27,6 +27,8 @@ use std::time::Duration;
 
 const MAGIC: &[u8; 8] = b"VNTRACE1";
 const RECORD: usize = 68;
+/// No screen has a longer side, px: a damaged file must not make a replay compose one.
+const LARGEST_MODE: u32 = 16_384;
 const MATRICES: [Matrix; 4] = [Matrix::Bt601, Matrix::Bt709, Matrix::Bt2020, Matrix::Smpte240m];
 const RANGES: [Range; 2] = [Range::Limited, Range::Full];
 const SITINGS: [Siting; 3] = [Siting::Center, Siting::Left, Siting::PalDv];
@@ -56,8 +58,7 @@ impl Writer {
     /// Creates or empties the file.
     pub fn create(path: &Path) -> Result<Self, CameraError> {
         let name = path.display().to_string();
-        let fail =
-            |source| CameraError::Read { name: name.clone(), what: "(writing) the trace".into(), source };
+        let fail = |source| CameraError::Write { name: name.clone(), source };
         let mut out = BufWriter::with_capacity(1 << 18, File::create(path).map_err(fail)?);
         out.write_all(MAGIC).map_err(fail)?;
         Ok(Self { out, name })
@@ -88,8 +89,7 @@ impl Writer {
         [size.width, size.height, stride].iter().for_each(|&v| put(&(v as u32).to_le_bytes()));
         put(&(raw.bytes.len() as u64).to_le_bytes());
         let name = &self.name;
-        let fail =
-            |source| CameraError::Read { name: name.clone(), what: "(writing) the trace".into(), source };
+        let fail = |source| CameraError::Write { name: name.clone(), source };
         self.out.write_all(&record).map_err(fail)?;
         self.out.write_all(raw.bytes).map_err(fail)
     }
@@ -97,11 +97,7 @@ impl Writer {
     /// Writes out what is still in memory. Dropping does so too, but cannot tell of errors.
     pub fn finish(mut self) -> Result<(), CameraError> {
         let name = self.name.clone();
-        self.out.flush().map_err(|source| CameraError::Read {
-            name,
-            what: "(writing) the trace".into(),
-            source,
-        })
+        self.out.flush().map_err(|source| CameraError::Write { name, source })
     }
 }
 
@@ -264,6 +260,9 @@ fn parse(record: &[u8; RECORD]) -> Option<(Entry, RawFormat, usize)> {
         siting: *SITINGS.get(place(3)?)?,
     };
     let length = usize::try_from(u64_at(56)?).ok()?;
+    if entry.mode.iter().any(|&side| !(1..=LARGEST_MODE).contains(&side)) {
+        return None;
+    }
     // rows may be padded, but not beyond all measure
     let within = length >= format.least_bytes()? && length <= 4 * MOST_BYTES;
     within.then_some((entry, format, length))

@@ -4,11 +4,14 @@
 //! into bands for rayon's current pool; no result depends on where the bands lie.
 
 pub mod area;
+pub mod bilateral;
+pub mod canny;
 pub mod color;
 pub mod contrast;
 pub mod enlarge;
 pub mod interleave;
 pub mod photometric;
+pub mod pyramid;
 pub mod sobel;
 pub mod voronoi;
 pub mod yuv;

@@ -243,7 +243,13 @@ fn weight<S: Simd>(simd: S, u: S::f32s, v: S::f32s, values: &[Row; 3], at: usize
     let lanes = S::f32s::LEN;
     let du = S::f32s::from_slice(simd, &values[1][at..at + lanes]) - u;
     let dv = S::f32s::from_slice(simd, &values[2][at..at + lanes]) - v;
-    let t = (du * du + dv * dv).min(S::f32s::splat(simd, FARTHEST));
+    half_to(simd, du * du + dv * dv)
+}
+
+/// 2^-t of t >= 0, as the file's head says; relative error 2.9e-6, 2^-40 from t = 40 on, exactly 1 at 0.
+#[inline(always)]
+pub(crate) fn half_to<S: Simd>(simd: S, t: S::f32s) -> S::f32s {
+    let t = t.min(S::f32s::splat(simd, FARTHEST));
     let whole = S::f32s::splat(simd, MAGIC) - t;
     let g = t + (whole - MAGIC);
     let p = ((g * POWER[3] + POWER[2]) * g + POWER[1]) * g + POWER[0];

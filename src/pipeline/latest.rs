@@ -6,7 +6,7 @@
 //! Ownership follows from one atomic exchange of slot numbers, so the slots' mutexes are never contended;
 //! they exist only to let safe Rust hand out `&mut`.
 
-use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -19,6 +19,8 @@ struct Shared<T> {
     middle: AtomicU32,
     /// How many were published and never read.
     replaced: AtomicU64,
+    /// Set when the writer is gone.
+    ended: AtomicBool,
     reader: std::thread::Thread,
 }
 
@@ -37,7 +39,13 @@ pub struct Reader<T> {
 /// A hand-over whose reader runs on the thread `reader`; the three buffers start as copies of `empty`.
 pub fn latest<T: Clone>(empty: T, reader: std::thread::Thread) -> (Writer<T>, Reader<T>) {
     let slots = [Mutex::new(empty.clone()), Mutex::new(empty.clone()), Mutex::new(empty)];
-    let shared = Arc::new(Shared { slots, middle: AtomicU32::new(1), replaced: AtomicU64::new(0), reader });
+    let shared = Arc::new(Shared {
+        slots,
+        middle: AtomicU32::new(1),
+        replaced: AtomicU64::new(0),
+        ended: AtomicBool::new(false),
+        reader,
+    });
     (Writer { shared: shared.clone(), own: 0 }, Reader { shared, own: 2 })
 }
 
@@ -68,11 +76,28 @@ impl<T> Writer<T> {
     }
 }
 
+impl<T> Drop for Writer<T> {
+    /// Wakes the reader: nothing more will come.
+    fn drop(&mut self) {
+        self.shared.ended.store(true, Ordering::Release);
+        self.shared.reader.unpark();
+    }
+}
+
 impl<T> Reader<T> {
-    /// Waits up to `timeout` for something not yet seen; `None` when nothing came.
+    /// Waits up to `timeout` for something not yet seen; `None` when nothing came, at once when the writer is
+    /// gone.
     pub fn next(&mut self, timeout: Duration) -> Option<MutexGuard<'_, T>> {
         let deadline = Instant::now() + timeout;
-        while self.shared.middle.load(Ordering::Acquire) & FRESH == 0 {
+        loop {
+            // asked before the middle is looked at: what was published last is still taken
+            let ended = self.is_abandoned();
+            if self.shared.middle.load(Ordering::Acquire) & FRESH != 0 {
+                break;
+            }
+            if ended {
+                return None;
+            }
             let left = deadline.checked_duration_since(Instant::now())?;
             std::thread::park_timeout(left);
         }
@@ -87,7 +112,7 @@ impl<T> Reader<T> {
 
     /// Whether the writer is gone.
     pub fn is_abandoned(&self) -> bool {
-        Arc::strong_count(&self.shared) == 1
+        self.shared.ended.load(Ordering::Acquire)
     }
 }
 
@@ -106,6 +131,18 @@ mod tests {
         assert_eq!(reader.next(Duration::ZERO).as_deref(), Some(&3));
         assert_eq!(reader.replaced(), 2);
         assert!(reader.next(Duration::ZERO).is_none(), "seen once only");
+    }
+
+    #[test]
+    fn the_last_value_is_taken_and_the_end_is_told_at_once() {
+        let (mut writer, mut reader) = latest(0u32, std::thread::current());
+        *writer.buffer() = 7;
+        writer.publish();
+        drop(writer);
+        assert_eq!(reader.next(Duration::from_secs(60)).as_deref(), Some(&7));
+        let asked = Instant::now();
+        assert!(reader.next(Duration::from_secs(60)).is_none() && reader.is_abandoned());
+        assert!(asked.elapsed() < Duration::from_secs(30));
     }
 
     #[test]

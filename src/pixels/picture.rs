@@ -62,7 +62,11 @@ fn open(path: &Path) -> Result<image::DynamicImage, PictureError> {
     let fail = |reason: String| PictureError::Decode { path: path.into(), reason };
     let open = |source| PictureError::Open { path: path.into(), source };
     let reader = image::ImageReader::open(path).map_err(open)?.with_guessed_format().map_err(open)?;
-    reader.decode().map_err(|e| fail(e.to_string()))
+    let picture = reader.decode().map_err(|e| fail(e.to_string()))?;
+    if picture.width() == 0 || picture.height() == 0 {
+        return Err(fail("it has no pixels".into()));
+    }
+    Ok(picture)
 }
 
 /// Writes an 8-bit RGB PNG.
@@ -71,6 +75,9 @@ pub fn write_png(path: &Path, picture: &Rgb) -> Result<(), PictureError> {
     let buffer = image::RgbImage::from_fn(size.width as u32, size.height as u32, |x, y| {
         image::Rgb(picture.at(x as usize, y as usize))
     });
-    let fail = |e: image::ImageError| PictureError::Write { path: path.into(), reason: e.to_string() };
-    buffer.save_with_format(path, image::ImageFormat::Png).map_err(fail)
+    let fail = |reason: String| PictureError::Write { path: path.into(), reason };
+    // encoded in memory: the file's last bytes would otherwise be written on drop, where errors are lost
+    let mut file = std::io::Cursor::new(Vec::new());
+    buffer.write_to(&mut file, image::ImageFormat::Png).map_err(|e| fail(e.to_string()))?;
+    std::fs::write(path, file.into_inner()).map_err(|e| fail(e.to_string()))
 }

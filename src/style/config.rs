@@ -1,6 +1,6 @@
 //! Settings of all styles: what the scene file's `[style]` table and `--set key=value` reach.
 
-use super::{cartoon, illustrative, watercolor};
+use super::{bilateral, cartoon, illustrative, watercolor};
 use serde::{Deserialize, Serialize};
 
 /// The styles by name.
@@ -12,6 +12,10 @@ pub enum StyleName {
     /// Flat colors and black outlines from one filter over the whole augmented picture.
     #[default]
     Cartoon,
+    /// Flat colors from a bilateral filter, thick black outlines from Canny's edges.
+    BilateralCartoon,
+    /// Thick black outlines on white.
+    SketchLike,
     /// Colors that bleed over edges in Voronoi cells, black edges on top.
     Watercolor,
     /// Black edges and cross-hatching on paper.
@@ -24,6 +28,8 @@ impl StyleName {
         match self {
             StyleName::Plain => "plain",
             StyleName::Cartoon => "cartoon",
+            StyleName::BilateralCartoon => "bilateral-cartoon",
+            StyleName::SketchLike => "sketch-like",
             StyleName::Watercolor => "watercolor",
             StyleName::Illustrative => "illustrative",
         }
@@ -40,10 +46,17 @@ impl std::fmt::Display for StyleName {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Config {
-    /// The style to draw: "plain", "cartoon", "watercolor" or "illustrative". Default "cartoon".
+    /// The style to draw: "plain", "cartoon", "bilateral-cartoon", "sketch-like", "watercolor" or
+    /// "illustrative". Default "cartoon".
     pub name: StyleName,
     /// Settings of the cartoon style.
     pub cartoon: cartoon::Config,
+    /// Settings of the bilateral cartoon style; the table is named as the style.
+    #[serde(rename = "bilateral-cartoon")]
+    pub bilateral_cartoon: bilateral::Config,
+    /// Settings of the sketch-like style; the table is named as the style.
+    #[serde(rename = "sketch-like")]
+    pub sketch_like: bilateral::Lines,
     /// Settings of the watercolor style.
     pub watercolor: watercolor::Config,
     /// Settings of the illustrative style.
@@ -103,6 +116,8 @@ impl Config {
     /// Checks every setting of every style against its range.
     pub fn validate(&self) -> Result<(), ConfigError> {
         self.cartoon.validate()?;
+        self.bilateral_cartoon.validate()?;
+        self.sketch_like.validate()?;
         self.watercolor.validate()?;
         self.illustrative.validate()
     }
@@ -114,6 +129,14 @@ impl Config {
             StyleName::Cartoon => {
                 self.cartoon = edited(self.name, &self.cartoon, key, value)?;
                 self.cartoon.validate()
+            }
+            StyleName::BilateralCartoon => {
+                self.bilateral_cartoon = edited(self.name, &self.bilateral_cartoon, key, value)?;
+                self.bilateral_cartoon.validate()
+            }
+            StyleName::SketchLike => {
+                self.sketch_like = edited(self.name, &self.sketch_like, key, value)?;
+                self.sketch_like.validate()
             }
             StyleName::Watercolor => {
                 self.watercolor = edited(self.name, &self.watercolor, key, value)?;

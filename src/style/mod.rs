@@ -4,6 +4,7 @@
 //! A style keeps its buffers, reads a [`StyleInput`], and writes every pixel of the canvas; it never draws
 //! models (the renderer does) and never looks at markers.
 
+pub mod bilateral;
 pub mod cartoon;
 pub mod composite;
 mod config;
@@ -41,6 +42,8 @@ pub fn reference(config: &Config, augmented: &Rgb) -> Rgb {
     match config.name {
         StyleName::Plain => augmented.clone(),
         StyleName::Cartoon => cartoon::reference(&config.cartoon, augmented),
+        StyleName::BilateralCartoon => bilateral::reference(&config.bilateral_cartoon, augmented),
+        StyleName::SketchLike => bilateral::sketch_reference(&config.sketch_like, augmented),
         StyleName::Watercolor => watercolor::reference(&config.watercolor, augmented),
         StyleName::Illustrative => illustrative::reference(&config.illustrative, augmented),
     }
@@ -52,6 +55,10 @@ pub enum Styler {
     Plain(plain::Plain),
     /// The cartoon filter.
     Cartoon(Box<cartoon::Cartoon>),
+    /// The bilateral cartoon filter.
+    BilateralCartoon(Box<bilateral::BilateralCartoon>),
+    /// Its edges alone.
+    SketchLike(Box<bilateral::SketchLike>),
     /// Voronoi cells of mean color.
     Watercolor(Box<watercolor::Watercolor>),
     /// Edges and hatching on paper.
@@ -65,6 +72,13 @@ impl Styler {
         match config.name {
             StyleName::Plain => Styler::Plain(plain::Plain),
             StyleName::Cartoon => Styler::Cartoon(Box::new(cartoon::Cartoon::new(config.cartoon, level))),
+            StyleName::BilateralCartoon => {
+                let style = bilateral::BilateralCartoon::new(config.bilateral_cartoon, level);
+                Styler::BilateralCartoon(Box::new(style))
+            }
+            StyleName::SketchLike => {
+                Styler::SketchLike(Box::new(bilateral::SketchLike::new(config.sketch_like, level)))
+            }
             StyleName::Watercolor => {
                 let config = config.watercolor.clone();
                 Styler::Watercolor(Box::new(watercolor::Watercolor::new(config, level)))
@@ -80,6 +94,8 @@ impl Styler {
         match self {
             Styler::Plain(_) => StyleName::Plain,
             Styler::Cartoon(_) => StyleName::Cartoon,
+            Styler::BilateralCartoon(_) => StyleName::BilateralCartoon,
+            Styler::SketchLike(_) => StyleName::SketchLike,
             Styler::Watercolor(_) => StyleName::Watercolor,
             Styler::Illustrative(_) => StyleName::Illustrative,
         }
@@ -90,6 +106,8 @@ impl Styler {
         match self {
             Styler::Plain(_) => plain::Plain::NEEDS,
             Styler::Cartoon(_) => cartoon::Cartoon::NEEDS,
+            Styler::BilateralCartoon(_) => bilateral::BilateralCartoon::NEEDS,
+            Styler::SketchLike(_) => bilateral::SketchLike::NEEDS,
             Styler::Watercolor(_) => watercolor::Watercolor::NEEDS,
             Styler::Illustrative(_) => illustrative::Illustrative::NEEDS,
         }
@@ -103,8 +121,12 @@ impl Styler {
     /// Forgets what earlier frames left behind: the next frame is drawn as a first one.
     pub fn restart(&mut self) {
         match self {
-            Styler::Plain(_) | Styler::Cartoon(_) | Styler::Illustrative(_) => {}
             Styler::Watercolor(style) => style.restart(),
+            Styler::Plain(_)
+            | Styler::Cartoon(_)
+            | Styler::BilateralCartoon(_)
+            | Styler::SketchLike(_)
+            | Styler::Illustrative(_) => {}
         }
     }
 
@@ -113,6 +135,8 @@ impl Styler {
         match self {
             Styler::Plain(style) => style.draw(input, out),
             Styler::Cartoon(style) => style.draw(input, out),
+            Styler::BilateralCartoon(style) => style.draw(input, out),
+            Styler::SketchLike(style) => style.draw(input, out),
             Styler::Watercolor(style) => style.draw(input, out),
             Styler::Illustrative(style) => style.draw(input, out),
         }

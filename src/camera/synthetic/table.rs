@@ -6,13 +6,16 @@ use super::Config;
 use crate::marker::Family;
 use crate::pixels::{Plane, Rgb, Size, SplitMix64};
 use crate::scene::{Anchor, Light, Material, Mesh, Model, Scene, Shading};
-use glam::{DAffine3, DVec3, Vec3};
+use glam::{DAffine3, DVec3, Vec2, Vec3};
 use std::f32::consts::TAU;
 use std::sync::Arc;
 use tiny_skia::{Color, FillRule, Paint, PathBuilder, Pixmap, Rect, Stroke, Transform};
 
 /// Direction towards the lamp, marker space.
 pub const LAMP: DVec3 = DVec3::new(-0.45, 0.35, 0.82);
+
+/// Half the table's side, mm.
+const TABLE_MM: f32 = 700.0;
 
 /// Pixels a marker cell in the sheet's texture.
 const CELL_PX: usize = 24;
@@ -35,7 +38,7 @@ pub fn lay(config: &Config) -> Scene {
         ),
         model(
             "table",
-            Mesh::quad(Vec3::Z * -1.0, Vec3::X * 700.0, Vec3::Y * 700.0, textured(wood(config.seed))),
+            Mesh::quad(Vec3::Z * -1.0, Vec3::X * TABLE_MM, Vec3::Y * TABLE_MM, textured(wood(config.seed))),
         ),
         model(
             "sheet",
@@ -198,6 +201,7 @@ fn wood(seed: u64) -> Rgb {
         }
     }
     cloth(&mut map, &mut paint);
+    shadows(&mut map, &mut paint);
     let planes = [0, 1, 2].map(|c| {
         let size = Size::new(SIDE as usize, SIDE as usize);
         Plane::from_fn(size, |x, y| map.data()[(y * SIDE as usize + x) * 4 + c])
@@ -217,6 +221,28 @@ fn cloth(map: &mut Pixmap, paint: &mut Paint<'_>) {
     for i in 0..36 {
         let (sin, cos) = libm::sincosf(i as f32 / 36.0 * TAU);
         fill_circle(map, paint, middle + 176.0 * cos, middle + 176.0 * sin, 6.0);
+    }
+}
+
+/// Soft shadows of the objects, as the lamp throws them: (x, y, radius, height) in mm.
+fn shadows(map: &mut Pixmap, paint: &mut Paint<'_>) {
+    const STEPS: usize = 10;
+    let objects = [
+        (-150.0, 75.0, 68.0, 30.0),
+        (140.0, 90.0, 40.0, 60.0),
+        (150.0, -55.0, 26.0, 40.0),
+        (-125.0, -85.0, 21.0, 14.0),
+    ];
+    let scale = map.width() as f32 / (2.0 * TABLE_MM);
+    let away = -(LAMP.truncate() / LAMP.z).as_vec2();
+    paint.set_color(Color::from_rgba8(0, 0, 0, 13));
+    for (x, y, radius, height) in objects {
+        for step in 0..STEPS {
+            let t = step as f32 / STEPS as f32;
+            let middle = Vec2::new(x, y) + away * height * 0.5;
+            let px = (middle * Vec2::new(1.0, -1.0) + TABLE_MM) * scale;
+            fill_circle(map, paint, px.x, px.y, scale * (radius * (1.45 - 0.6 * t)));
+        }
     }
 }
 
