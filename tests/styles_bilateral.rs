@@ -29,7 +29,7 @@ fn frame(name: &str) -> Frame {
 /// Part of the photograph, mirrored where it ends.
 fn part(size: Size) -> Frame {
     let photo = frame(FRAMES[0]).color;
-    let fold = |i: usize, n: usize| if i / n % 2 == 0 { i % n } else { n - 1 - i % n };
+    let fold = |i: usize, n: usize| if (i / n).is_multiple_of(2) { i % n } else { n - 1 - i % n };
     let mut picture = Rgb::new(size, [0; 3]);
     for (x, y) in (0..size.height).flat_map(|y| (0..size.width).map(move |x| (x, y))) {
         picture.set(x, y, photo.at(fold(x, 160), fold(y, 120)));

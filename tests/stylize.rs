@@ -385,7 +385,7 @@ fn bad_input_is_refused_in_one_clear_line() {
         (vec!["--style", "cartoon", "--set", "beta=2", input, "--out", out], "beta"),
         (vec!["--style", "cartoon", "--threads", "0", input, "--out", out], "--threads"),
         (vec!["--style", "cartoon", input, input, "--out", out], "same name"),
-        (vec!["--style", "cartoon", "-", "--out", out], "clips"),
+        (vec!["--style", "cartoon", "-", "--out", out], "many frames"),
     ] {
         let done = run(&arguments);
         let message = String::from_utf8_lossy(&done.stderr).into_owned();

@@ -80,7 +80,10 @@ fn is_failure(error: &anyhow::Error) -> bool {
     error.downcast_ref::<Failed>().is_some()
         || error.chain().any(|cause| {
             matches!(cause.downcast_ref(), Some(PictureError::Write { .. }))
-                || matches!(cause.downcast_ref(), Some(DisplayError::Write { .. }))
+                || matches!(
+                    cause.downcast_ref(),
+                    Some(DisplayError::Write { .. } | DisplayError::ReaderGone { .. })
+                )
                 || matches!(cause.downcast_ref(), Some(CameraError::Write { .. }))
         })
 }

@@ -86,7 +86,7 @@ fn input(args: &Args, config: &Config) -> camera::Config {
 }
 
 /// Where pictures go: a name that ends in .y4m (or `-`) is a clip, any other a folder.
-fn open_sink(out: &Path, size: Size, fps: f64) -> anyhow::Result<Sink> {
+pub(super) fn open_sink(out: &Path, size: Size, fps: f64) -> anyhow::Result<Sink> {
     let clip = out == Path::new("-") || out.extension().is_some_and(|e| e.eq_ignore_ascii_case("y4m"));
     let sink = if clip { display::Kind::Y4m } else { display::Kind::Png };
     Ok(Sink::open(
@@ -129,7 +129,7 @@ fn draw_all(
             Some(sink) => sink,
             none => none.insert(open_sink(&args.out, size, source.fps().unwrap_or(30.0))?),
         };
-        sink.present(drawn.canvas).context(Failed("cannot write the drawn frame"))?;
+        sink.present(drawn.canvas)?;
         if args.json {
             say(line(frames, &drawn))?;
         }

@@ -1,6 +1,8 @@
 //! `vernissage stylize`: pictures through a style, without a camera or models; also the styles' stopwatch.
 
-use super::{Failed, say};
+use super::render::open_sink;
+use super::{Failed, progress, say};
+use crate::camera::{Clip, Grab};
 use crate::frame::Frame;
 use crate::kernel::interleave;
 use crate::pixels::{Plane, Rgb, Size, picture, simd};
@@ -12,6 +14,8 @@ use std::io::{BufWriter, IsTerminal};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
+/// Endings of pictures that are read.
+const PICTURES: [&str; 6] = ["png", "jpg", "jpeg", "pgm", "ppm", "pnm"];
 /// Frames drawn before the stopwatch starts.
 const WARM_UP: u32 = 3;
 
@@ -19,11 +23,15 @@ const WARM_UP: u32 = 3;
 ///
 /// Reads PNG, JPEG and PGM/PPM pictures, or folders of them in name order, and writes PNG. One picture goes to
 /// the file that --out names; several go to the folder that --out names, each under its own name.
+///
+/// Reads Y4M clips too (- is stdin) and writes every frame to a folder or, where --out ends in .y4m or is -,
+/// to one clip; pictures and folders of one size can become a clip as well.
 #[derive(clap::Args, Default)]
 #[command(after_help = "Examples:
   vernissage stylize --style cartoon photo.jpg --out cartoon.png
   vernissage stylize --style cartoon --set steps=9 --set beta=.5 photo.jpg --out bold.png
   vernissage stylize --style cartoon holiday/ --out holiday-cartoon/
+  vernissage stylize --style cartoon clip.y4m --out cartoon.y4m
   vernissage stylize --style cartoon photo.jpg --repeat 100 --json      time it
 
 Settings of cartoon (--set): shrunk_width, shrunk_height (0: from the frame), sigma_p, steps, alpha, beta,
@@ -33,7 +41,7 @@ stage `sites` of one run may be fed to the next). Of illustrative: alpha, edge_t
 gamma, paper_red, paper_green, paper_blue.
 The result is the same for any number of threads and on any processor.")]
 pub struct Args {
-    /// Pictures, or folders of pictures.
+    /// Pictures, folders of pictures, or Y4M clips (- is stdin).
     #[arg(required = true, value_name = "INPUT")]
     inputs: Vec<PathBuf>,
     /// The style.
@@ -45,7 +53,7 @@ pub struct Args {
     /// Threads in use, 1 to 64.
     #[arg(long, default_value_t = 2, value_name = "N")]
     threads: usize,
-    /// Where the result goes: a PNG file for one input, a folder for several.
+    /// Where the result goes: a PNG file for one picture, a folder for several, NAME.y4m or - for a clip.
     #[arg(long, value_name = "FILE|DIR", required_unless_present_any = ["repeat", "stages"])]
     out: Option<PathBuf>,
     /// Also writes the style's intermediate planes there as NAME.npy (f32, rows x columns [x channels]); with
@@ -71,6 +79,9 @@ pub fn run(args: Args) -> anyhow::Result<()> {
         };
         config.set(key.trim(), value.trim()).with_context(|| format!("--set {setting}"))?;
     }
+    if args.inputs.iter().chain(&args.out).any(|path| is_clip(path)) {
+        return film(&args, &config);
+    }
     let pictures = expand(&args.inputs)?;
     let outputs = outputs(&args, &pictures)?;
     let pool = super::pool(args.threads)?;
@@ -82,8 +93,6 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     let mut job = Job::new(&config);
     for (path, output) in pictures.iter().zip(outputs) {
         let input = picture::read(path)?;
-        let size = input.size();
-        ensure!(size.area() > 0, "{}: the picture is empty", path.display());
         pool.install(|| job.load(&input));
         if let Some(repeat) = args.repeat {
             let times = pool.install(|| job.time(repeat));
@@ -102,16 +111,55 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     Ok(())
 }
 
+/// Whether `path` names a Y4M clip; `-` is one on stdin or stdout.
+fn is_clip(path: &Path) -> bool {
+    path == Path::new("-") || has_extension(path, &["y4m"])
+}
+
+/// Draws every frame of the inputs, one after another, into one clip or folder.
+fn film(args: &Args, config: &style::Config) -> anyhow::Result<()> {
+    ensure!(
+        args.repeat.is_none() && args.stages.is_none(),
+        "--repeat and --stages take pictures, not clips: give pictures or a folder of them"
+    );
+    let out = args.out.as_deref().context("--out: name a clip (NAME.y4m or -) or a folder")?;
+    ensure!(
+        !has_extension(out, &PICTURES),
+        "{}: a clip has many frames; give --out a NAME.y4m, - or a folder",
+        out.display()
+    );
+    let pool = super::pool(args.threads)?;
+    let mut styler = Styler::new(config, simd::best());
+    let (mut frame, mut canvas, mut sink) = (Frame::default(), Rgb::default(), None);
+    let mut frames = 0;
+    let bar = progress::bar(None, "frames");
+    for input in &args.inputs {
+        let mut clip = Clip::open(input, 30.0)?;
+        pool.install(|| -> anyhow::Result<()> {
+            while clip.next(&mut frame)? == Grab::Frame {
+                frame.sequence = frames;
+                canvas.resize(frame.size());
+                styler.draw(StyleInput { frame: &frame, layer: None }, &mut canvas);
+                let sink = match &mut sink {
+                    Some(sink) => sink,
+                    none => none.insert(open_sink(out, frame.size(), clip.fps())?),
+                };
+                sink.present(&canvas)?;
+                frames += 1;
+                bar.inc(1);
+            }
+            Ok(())
+        })?;
+    }
+    bar.finish_and_clear();
+    ensure!(frames > 0, "no frames came: is the clip empty?");
+    Ok(())
+}
+
 /// The pictures behind the inputs: folders are replaced by the pictures in them, in name order.
 fn expand(inputs: &[PathBuf]) -> anyhow::Result<Vec<PathBuf>> {
     let mut pictures = Vec::new();
     for input in inputs {
-        if input.as_os_str() == "-" || has_extension(input, &["y4m"]) {
-            bail!(
-                "{}: stylize reads pictures, not clips; use `vernissage render` for clips",
-                input.display()
-            );
-        }
         if !input.is_dir() {
             pictures.push(input.clone());
             continue;
@@ -120,7 +168,7 @@ fn expand(inputs: &[PathBuf]) -> anyhow::Result<Vec<PathBuf>> {
         let mut found = Vec::new();
         for entry in std::fs::read_dir(input).with_context(unreadable)? {
             let path = entry.with_context(unreadable)?.path();
-            if has_extension(&path, &["png", "jpg", "jpeg", "pgm", "ppm", "pnm"]) && path.is_file() {
+            if has_extension(&path, &PICTURES) && path.is_file() {
                 found.push(path);
             }
         }
@@ -144,7 +192,14 @@ struct Output {
 /// Names every result and makes the folders; two inputs of one name would overwrite each other and are refused.
 fn outputs(args: &Args, pictures: &[PathBuf]) -> anyhow::Result<Vec<Output>> {
     let many = pictures.len() > 1 || args.inputs.iter().any(|input| input.is_dir());
-    let into_folder = args.out.as_ref().is_some_and(|out| many || out.is_dir());
+    let into_folder = args.out.as_ref().is_some_and(|out| {
+        let named = out.as_os_str().as_encoded_bytes().ends_with(b"/");
+        many || named || out.is_dir()
+    });
+    if let Some(out) = args.out.as_deref().filter(|_| !into_folder) {
+        let other = has_extension(out, &PICTURES) && !has_extension(out, &["png"]);
+        ensure!(!other, "{}: only PNG is written; name it .png", out.display());
+    }
     let make = |folder: &Path| {
         std::fs::create_dir_all(folder)
             .with_context(|| format!("{}: cannot make folder", folder.display()))

@@ -231,7 +231,7 @@ pub fn up_reference(small: Size, x: usize, y: usize, at: impl Fn(usize, usize) -
     for (dx, dy) in (-2..=2).flat_map(|dy| (-2..=2).map(move |dx| (dx, dy))) {
         let sx = mirrored(x as isize + dx, 2 * small.width);
         let sy = mirrored(y as isize + dy, 2 * small.height);
-        if sx % 2 == 0 && sy % 2 == 0 {
+        if sx.is_multiple_of(2) && sy.is_multiple_of(2) {
             sum += 4.0 * KERNEL[(dx + 2) as usize] * KERNEL[(dy + 2) as usize] * at(sx / 2, sy / 2);
         }
     }
