@@ -20,7 +20,8 @@ fn noise(width: usize, height: usize) -> Rgb {
 }
 
 /// Canvas and mode sizes: equal, smaller, larger, wider, taller, one pixel, thin.
-const SIZES: &[((usize, usize), (usize, usize))] = &[
+type Pair = (usize, usize);
+const SIZES: &[(Pair, Pair)] = &[
     ((64, 48), (64, 48)),
     ((64, 48), (80, 60)),
     ((64, 48), (37, 91)),
