@@ -92,6 +92,9 @@ fn a_scene_with_a_missing_model_or_marker() {
     refuses(vernissage(&["plan", "--config", &config]), &["scene.toml:3", "vase.obj", "teapot"]);
     let config = scene(&here, "[[model]]\nfile = \"teapot\"\nmarker = { id = 9999 }\n");
     refuses(vernissage(&["plan", "--config", &config]), &["scene.toml:3", "9999", "0 to 586"]);
+    let model = |side| format!("[[model]]\nfile = \"teapot\"\nmarker = {{ id = 1, side_mm = {side} }}\n");
+    let config = scene(&here, &(model(80) + &model(90)));
+    refuses(vernissage(&["plan", "--config", &config]), &["scene.toml:6", "90 mm", "80 mm"]);
 }
 
 #[test]

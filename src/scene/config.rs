@@ -142,7 +142,15 @@ impl Scene {
         let mut scene = Scene { models: Vec::new(), light: light.to_light() };
         for (index, config) in models.iter().enumerate() {
             let fail = |reason| SceneError { number: index + 1, file: config.file.clone(), reason };
-            scene.models.push(config.build(folder).map_err(fail)?);
+            let model = config.build(folder).map_err(fail)?;
+            let same = |m: &&Model| (m.anchor.family, m.anchor.id) == (model.anchor.family, model.anchor.id);
+            if let Some(first) = scene.models.iter().find(same).filter(|m| m.anchor != model.anchor) {
+                let (one, other) = (first.anchor.side_mm, model.anchor.side_mm);
+                return Err(fail(format!(
+                    "its marker is {other} mm wide here and {one} mm for an earlier model: a print has one side_mm"
+                )));
+            }
+            scene.models.push(model);
         }
         Ok(scene)
     }
