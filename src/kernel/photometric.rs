@@ -16,15 +16,18 @@
 
 use crate::pixels::Plane;
 use crate::pixels::simd::Level;
-use fearless_simd::{Bytes, Simd, SimdBase, dispatch};
+use fearless_simd::{Bytes, Simd, SimdBase, SimdFloat, dispatch, f32x4, f32x8, f64x2};
 use rayon::prelude::*;
+use std::hint::black_box;
 
-/// Columns a strip.
-const STRIP: usize = 128;
-/// First column of a strip within its rows.
-const START: usize = 16;
-/// Length of a strip's rows: the strip, two taps on either side, whole vectors of up to 16.
-const LENGTH: usize = START + STRIP + 48;
+/// Columns a strip, a multiple of [`LANES`].
+const STRIP: usize = 120;
+/// First column of a strip within its rows: two neighbors come before it.
+const START: usize = 2;
+/// Length of a strip's rows. Three of them are within reach of one ARM load-pair instruction.
+const LENGTH: usize = START + STRIP + 2;
+/// Columns at once: two vectors of four or one of eight.
+const LANES: usize = 8;
 /// Exponents beyond this weigh nothing: 2^-40 of a sum that is at least 1.
 const FARTHEST: f32 = 40.0;
 /// 1.5·2²³: adding it rounds to an integer, which then sits in the low bits.
@@ -32,7 +35,35 @@ const MAGIC: f32 = 12_582_912.0;
 /// 2^-g on ±½ with relative error 2.9e-6; exactly 1 at 0.
 const POWER: [f32; 4] = [-0.693_124_2, 0.240_240_99, -0.055_906_426, 0.009_582_853];
 
-type Row = [f32; LENGTH];
+/// Rows that belong to one picture row, one behind the other so that one address reaches them all: Y, U, V,
+/// weights towards columns +1, +2 of the same row,
+const SAME: usize = 3;
+/// weights towards columns -2 ..= 2 of the next row,
+const NEXT: usize = SAME + 2;
+/// and of the row after the next.
+const AFTER: usize = NEXT + 5;
+const ROWS: usize = AFTER + 5;
+/// All that belongs to one picture row. Aligned, so that no row starts off the vectors' grid.
+#[derive(Clone, Copy)]
+#[repr(align(64))]
+struct Slot([f32; ROWS * LENGTH]);
+/// A slot from some column on: what a block of [`LANES`] columns from the third on reaches.
+type Block = [f32; BLOCK];
+const BLOCK: usize = (ROWS - 1) * LENGTH + LANES + 4;
+/// First column of the last block within the rows.
+const LAST: usize = LENGTH - 4 - LANES;
+
+impl Slot {
+    #[inline(always)]
+    fn block(&self, x: usize) -> &Block {
+        &self.0[x..][..BLOCK].as_chunks().0[0]
+    }
+
+    #[inline(always)]
+    fn block_mut(&mut self, x: usize) -> &mut Block {
+        &mut self.0[x..][..BLOCK].as_chunks_mut().0[0]
+    }
+}
 
 /// The factor for chroma planes: 1/(σ·√(2·ln 2)).
 pub fn chroma_gain(sigma: f32) -> f32 {
@@ -51,79 +82,51 @@ pub fn step(level: Level, input: &[Plane<f32>; 3], output: &mut [Plane<f32>; 3])
     let bands = y.view_mut().par_bands(rows).zip(u.view_mut().par_bands(rows));
     bands.zip(v.view_mut().par_bands(rows)).for_each(|(((first, mut y), (_, mut u)), (_, mut v))| {
         let strips = size.width.div_ceil(STRIP);
-        let wide = size.width.div_ceil(strips).next_multiple_of(16);
+        let wide = size.width.div_ceil(strips).next_multiple_of(LANES);
+        let mut strip = Strip { input, from: 0, columns: 0, slots: [Slot([0.0; ROWS * LENGTH]); 5] };
         for from in (0..size.width).step_by(wide) {
             let columns = wide.min(size.width - from);
-            let mut strip = Strip::new(input, from, columns);
+            (strip.from, strip.columns) = (from, columns);
             strip.open(level, first as isize);
             for row in 0..y.size().height {
-                strip.advance(level, (first + row) as isize);
+                let at = (first + row) as isize;
+                strip.take(at + 2);
                 let out = [&mut y, &mut u, &mut v].map(|plane| &mut plane.row_mut(row)[from..][..columns]);
-                dispatch!(level, simd => strip.sum(simd, out));
+                dispatch!(level, simd => strip.sum(simd, at, out));
             }
         }
     });
 }
 
-/// Rings of input rows and weight rows for one strip. Row k of a ring of n sits at k mod n.
+/// One strip of columns on its way down the picture.
 struct Strip<'a> {
     input: &'a [Plane<f32>; 3],
     from: usize,
     columns: usize,
-    /// Y, U, V of rows y-2 ..= y+2.
-    values: [[Row; 3]; 5],
-    /// Weights towards columns +1, +2 of the same row.
-    same: [Row; 2],
-    /// Weights towards columns -2 ..= 2 of the next row, of rows y-1, y.
-    next: [[Row; 5]; 2],
-    /// Weights towards columns -2 ..= 2 of the row after the next, of rows y-2 ..= y.
-    after: [[Row; 5]; 3],
-    y: isize,
+    /// Rows y-2 ..= y+2 of the picture; row k sits at k mod 5.
+    slots: [Slot; 5],
 }
 
-impl<'a> Strip<'a> {
-    fn new(input: &'a [Plane<f32>; 3], from: usize, columns: usize) -> Self {
-        const ZERO: Row = [0.0; LENGTH];
-        Strip {
-            input,
-            from,
-            columns,
-            values: [[ZERO; 3]; 5],
-            same: [ZERO; 2],
-            next: [[ZERO; 5]; 2],
-            after: [[ZERO; 5]; 3],
-            y: 0,
-        }
-    }
-
-    /// Makes everything ready for [`Self::advance`] to row `first`.
+impl Strip<'_> {
+    /// Makes everything ready to go on to row `first`.
     fn open(&mut self, level: Level, first: isize) {
         for y in first - 2..first + 2 {
             self.take(y);
         }
         for y in first - 2..first {
-            self.take(y + 2);
-            self.y = y;
-            dispatch!(level, simd => self.weigh(simd, y == first - 1));
+            dispatch!(level, simd => self.weigh(simd, y));
         }
-    }
-
-    /// Goes on to row `y`: takes row y+2 and computes the weights that start in row y.
-    fn advance(&mut self, level: Level, y: isize) {
-        self.take(y + 2);
-        self.y = y;
-        dispatch!(level, simd => self.weigh(simd, true));
     }
 
     /// Copies input row `y` (clamped) with its clamped neighbors.
     fn take(&mut self, y: isize) {
         let size = self.input[0].size();
         let from_row = y.clamp(0, size.height as isize - 1) as usize;
-        let slot = &mut self.values[ring::<5>(y)];
-        for (row, plane) in slot.iter_mut().zip(self.input) {
+        let slot = &mut self.slots[ring(y)];
+        for (row, plane) in slot.0.chunks_exact_mut(LENGTH).zip(self.input) {
             let line = plane.row(from_row);
             row[START..][..self.columns].copy_from_slice(&line[self.from..][..self.columns]);
-            for d in 1..=4 {
+            for d in 1..=2 {
                 row[START - d] = line[self.from.saturating_sub(d)];
                 row[START + self.columns - 1 + d] =
                     line[(self.from + self.columns - 1 + d).min(size.width - 1)];
@@ -131,135 +134,175 @@ impl<'a> Strip<'a> {
         }
     }
 
-    /// Weights from row `self.y` to the rows below and, when `all`, within the row.
+    /// Weights from row `y` to the rows below, without summing.
     #[inline(always)]
-    fn weigh<S: Simd>(&mut self, simd: S, all: bool) {
-        let y = self.y;
-        let rows = [0, 1, 2].map(|d| &self.values[ring::<5>(y + d)]);
-        let next = &mut self.next[ring::<2>(y)];
-        let after = &mut self.after[ring::<3>(y)];
-        let same = &mut self.same;
-        let lanes = S::f32s::LEN;
-        let blocks = (self.columns + 4).div_ceil(lanes);
-        for block in 0..blocks {
-            let x = START - 2 + block * lanes;
-            // one check here instead of one an access
-            if x + lanes + 2 > LENGTH {
-                break;
-            }
-            let u = S::f32s::from_slice(simd, &rows[0][1][x..x + lanes]);
-            let v = S::f32s::from_slice(simd, &rows[0][2][x..x + lanes]);
-            if all {
-                for d in 0..2 {
-                    let at = x + d + 1;
-                    weight(simd, u, v, rows[0], at).store_slice(&mut same[d][x..x + lanes]);
-                }
-                for d in 0..5 {
-                    weight(simd, u, v, rows[1], x + d - 2).store_slice(&mut next[d][x..x + lanes]);
-                }
-            }
+    fn weigh<S: Simd>(&mut self, simd: S, y: isize) {
+        let rows = self.slots.get_disjoint_mut([ring(y), ring(y + 1), ring(y + 2)]);
+        let Ok([here, below, below2]) = rows else { return };
+        weigh_sides(simd, here, below, below2, self.columns);
+        for x in (0..self.columns).step_by(LANES).take_while(|&x| x <= LAST) {
+            let (here, below, below2) = (here.block_mut(x), below.block(x), below2.block(x));
+            let [_, u, v] = taps(simd, here, 2);
             for d in 0..5 {
-                weight(simd, u, v, rows[2], x + d - 2).store_slice(&mut after[d][x..x + lanes]);
+                for (lower, row) in [(below, NEXT + d), (below2, AFTER + d)] {
+                    let [_, to_u, to_v] = taps(simd, lower, d);
+                    weight(simd, [u, v], [to_u, to_v]).store_slice(&mut here[row * LENGTH + 2..][..LANES]);
+                }
             }
         }
     }
 
-    /// Sums row `self.y`.
+    /// Sums row `y`, and computes the weights from it to the rows below on the way: chroma is loaded once for both.
     #[inline(always)]
-    fn sum<S: Simd>(&self, simd: S, out: [&mut [f32]; 3]) {
-        let y = self.y;
-        let [above2, above, here, below, below2] = [-2, -1, 0, 1, 2].map(|d| &self.values[ring::<5>(y + d)]);
-        let same = &self.same;
-        let (next, next_up) = (&self.next[ring::<2>(y)], &self.next[ring::<2>(y - 1)]);
-        let (after, after_up) = (&self.after[ring::<3>(y)], &self.after[ring::<3>(y - 2)]);
-        let lanes = S::f32s::LEN;
+    fn sum<S: Simd>(&mut self, simd: S, y: isize, out: [&mut [f32]; 3]) {
+        let rows = self.slots.get_disjoint_mut([ring(y - 2), ring(y - 1), ring(y), ring(y + 1), ring(y + 2)]);
+        // What the compiler does not know keeps its addresses few. Five rows' addresses of their own, not offsets
+        // from one; columns -2, -1, 1, 2 as numbers in registers, which fit no ARM load's offset; and a loop over a
+        // window's columns that stays a loop, as unrolled its values are too many for any register file.
+        let Ok([above2, above, here, below, below2]) = black_box(rows) else { return };
+        let [o0, o1, o3, o4, across] = black_box([0usize, 1, 3, 4, 5]);
+        let (o0, o1, o3, o4, across) = (o0.min(4), o1.min(4), o3.min(4), o4.min(4), across.min(5));
+        let columns = self.columns;
+        weigh_same(simd, here, columns, o1.min(1));
+        weigh_sides(simd, here, below, below2, columns);
         let [out_y, out_u, out_v] = out;
-        for block in 0..self.columns.div_ceil(lanes) {
-            let x = START + block * lanes;
-            if x + lanes + 2 > LENGTH {
-                break;
+        let (out_y, out_u, out_v) = (&mut out_y[..columns], &mut out_u[..columns], &mut out_v[..columns]);
+        // the second bound is one check here instead of one an access
+        for x in (0..columns).step_by(LANES).take_while(|&x| x <= LAST) {
+            let (above2, above, here) = (above2.block(x), above.block(x), here.block_mut(x));
+            let (below, below2) = (below.block(x), below2.block(x));
+            let of = taps(simd, here, 2);
+            let mut sum = Sums { k: f32x8::splat(simd, 1.0), of, center: [of[1], of[2]] };
+            // a weight towards column d on the right is, read from there, the weight towards column -d on the left
+            sum.add(load(simd, here, SAME, 2), taps(simd, here, o3));
+            sum.add(load(simd, here, SAME, o1), taps(simd, here, o1));
+            sum.add(load(simd, here, SAME + 1, 2), taps(simd, here, o4));
+            sum.add(load(simd, here, SAME + 1, o0), taps(simd, here, o0));
+            // the same goes for rows below, whose weights are new here, and rows above
+            for d in 0..across {
+                sum.add_new(simd, taps(simd, below, d), here, NEXT + d);
+                sum.add(load(simd, above, NEXT + 4 - d, d), taps(simd, above, d));
             }
-            let mut sum = Sums {
-                k: S::f32s::splat(simd, 1.0),
-                of: [
-                    S::f32s::from_slice(simd, &here[0][x..x + lanes]),
-                    S::f32s::from_slice(simd, &here[1][x..x + lanes]),
-                    S::f32s::from_slice(simd, &here[2][x..x + lanes]),
-                ],
-            };
-            for d in 1..3 {
-                sum.add(simd, &same[d - 1], x, here, x + d);
-                sum.add(simd, &same[d - 1], x - d, here, x - d);
+            for d in 0..across {
+                sum.add_new(simd, taps(simd, below2, d), here, AFTER + d);
+                sum.add(load(simd, above2, AFTER + 4 - d, d), taps(simd, above2, d));
             }
-            // a weight towards column d of a row below is, read from there, the weight towards column -d above
-            for d in 0..5 {
-                let at = x + d - 2;
-                sum.add(simd, &next[d], x, below, at);
-                sum.add(simd, &next_up[4 - d], at, above, at);
-            }
-            for d in 0..5 {
-                let at = x + d - 2;
-                sum.add(simd, &after[d], x, below2, at);
-                sum.add(simd, &after_up[4 - d], at, above2, at);
-            }
-            let scale = S::f32s::splat(simd, 1.0) / sum.k;
+            let scale = f32x8::splat(simd, 1.0) / sum.k;
             let mean = [sum.of[0] * scale, sum.of[1] * scale, sum.of[2] * scale];
-            let done = block * lanes;
-            if done + lanes <= out_y.len() {
-                mean[0].store_slice(&mut out_y[done..done + lanes]);
-                mean[1].store_slice(&mut out_u[done..done + lanes]);
-                mean[2].store_slice(&mut out_v[done..done + lanes]);
+            if x + LANES <= columns {
+                mean[0].store_slice(&mut out_y[x..x + LANES]);
+                mean[1].store_slice(&mut out_u[x..x + LANES]);
+                mean[2].store_slice(&mut out_v[x..x + LANES]);
             } else {
-                let rest = out_y.len() - done;
-                out_y[done..].copy_from_slice(&mean[0].as_slice()[..rest]);
-                out_u[done..].copy_from_slice(&mean[1].as_slice()[..rest]);
-                out_v[done..].copy_from_slice(&mean[2].as_slice()[..rest]);
+                for (mean, out) in mean.into_iter().zip([&mut *out_y, &mut *out_u, &mut *out_v]) {
+                    let mut last = [0.0; LANES];
+                    mean.store_slice(&mut last);
+                    out[x..].copy_from_slice(&last[..columns - x]);
+                }
             }
         }
     }
 }
 
+/// Weights within a row, towards columns +1 and +2; `one` is 1 (see [`Strip::sum`]).
+#[inline(always)]
+fn weigh_same<S: Simd>(simd: S, here: &mut Slot, columns: usize, one: usize) {
+    // two columns before the strip have weights, too: the last block may lie over the one before
+    for x in (0..columns + 2).step_by(LANES) {
+        let (here, over) = (here.block_mut(x.min(LAST)), x.saturating_sub(LAST).min(2));
+        let [_, u, v] = taps(simd, here, over);
+        let [_, u1, v1] = taps(simd, here, over + one);
+        let [_, u2, v2] = taps(simd, here, over + one + 1);
+        weight(simd, [u, v], [u1, v1]).store_slice(&mut here[SAME * LENGTH + over..][..LANES]);
+        weight(simd, [u, v], [u2, v2]).store_slice(&mut here[(SAME + 1) * LENGTH + over..][..LANES]);
+    }
+}
+
+/// Weights of the two columns on either side of a strip towards its own columns in the rows below. Leaves junk next
+/// to them: the strip's own columns are weighed afterwards.
+#[inline(always)]
+fn weigh_sides<S: Simd>(simd: S, here: &mut Slot, below: &Slot, below2: &Slot, columns: usize) {
+    let right = START + columns.min(STRIP);
+    let center = sides(simd, here, START - 2, right);
+    for (slot, to) in [(below, NEXT), (below2, AFTER)] {
+        // columns -2 and -1 towards +2, `columns` and `columns` + 1 towards -2; then the same towards +1 and -1
+        let far = weight(simd, center, sides(simd, slot, START, right - 2));
+        far.store_slice(&mut here.0[(to + 4) * LENGTH + START - 2..][..4]);
+        far.store_slice(&mut here.0[to * LENGTH + right - 2..][..4]);
+        let near = weight(simd, center, sides(simd, slot, START - 1, right - 1));
+        near.store_slice(&mut here.0[(to + 3) * LENGTH + START - 2..][..4]);
+        near.store_slice(&mut here.0[(to + 1) * LENGTH + right - 2..][..4]);
+    }
+}
+
+/// U and V of two columns from `left` and two from `right` on.
+#[inline(always)]
+fn sides<S: Simd>(simd: S, slot: &Slot, left: usize, right: usize) -> [f32x4<S>; 2] {
+    let two = |from: usize| f32x4::from_slice(simd, &slot.0[from..][..4]).bitcast::<f64x2<S>>();
+    [
+        simd.zip_low_f64x2(two(LENGTH + left), two(LENGTH + right)).bitcast(),
+        simd.zip_low_f64x2(two(2 * LENGTH + left), two(2 * LENGTH + right)).bitcast(),
+    ]
+}
+
+/// Eight values of a row from the block's column `d` on.
+#[inline(always)]
+fn load<S: Simd>(simd: S, block: &Block, row: usize, d: usize) -> f32x8<S> {
+    f32x8::from_slice(simd, &block[row * LENGTH + d..][..LANES])
+}
+
+/// Y, U, V from the block's column `d` on.
+#[inline(always)]
+fn taps<S: Simd>(simd: S, block: &Block, d: usize) -> [f32x8<S>; 3] {
+    [load(simd, block, 0, d), load(simd, block, 1, d), load(simd, block, 2, d)]
+}
+
+/// Eight pixels' sums, and the chroma that their weights are measured from.
 struct Sums<S: Simd> {
-    k: S::f32s,
-    of: [S::f32s; 3],
+    k: f32x8<S>,
+    of: [f32x8<S>; 3],
+    center: [f32x8<S>; 2],
 }
 
 impl<S: Simd> Sums<S> {
-    /// Adds the samples at `at`, weighted by the weights at `x`.
     #[inline(always)]
-    fn add(&mut self, simd: S, weights: &Row, x: usize, values: &[Row; 3], at: usize) {
-        let lanes = S::f32s::LEN;
-        let weight = S::f32s::from_slice(simd, &weights[x..x + lanes]);
+    fn add(&mut self, weight: f32x8<S>, taps: [f32x8<S>; 3]) {
         self.k += weight;
         for c in 0..3 {
-            self.of[c] += S::f32s::from_slice(simd, &values[c][at..at + lanes]) * weight;
+            self.of[c] += taps[c] * weight;
         }
+    }
+
+    /// Adds taps whose weight is not known yet, and keeps it in a row of `block`, at its own columns.
+    #[inline(always)]
+    fn add_new(&mut self, simd: S, taps: [f32x8<S>; 3], block: &mut Block, row: usize) {
+        let weight = weight(simd, self.center, [taps[1], taps[2]]);
+        weight.store_slice(&mut block[row * LENGTH + 2..][..LANES]);
+        self.add(weight, taps);
     }
 }
 
-/// 2^-(du² + dv²) between (u, v) and the samples at `at`.
+/// 2^-(du² + dv²) between two places' (u, v).
 #[inline(always)]
-fn weight<S: Simd>(simd: S, u: S::f32s, v: S::f32s, values: &[Row; 3], at: usize) -> S::f32s {
-    let lanes = S::f32s::LEN;
-    let du = S::f32s::from_slice(simd, &values[1][at..at + lanes]) - u;
-    let dv = S::f32s::from_slice(simd, &values[2][at..at + lanes]) - v;
+fn weight<S: Simd, F: SimdFloat<S, Element = f32>>(simd: S, center: [F; 2], at: [F; 2]) -> F {
+    let du = at[0] - center[0];
+    let dv = at[1] - center[1];
     half_to(simd, du * du + dv * dv)
 }
 
 /// 2^-t of t >= 0, as the file's head says; relative error 2.9e-6, 2^-40 from t = 40 on, exactly 1 at 0.
 #[inline(always)]
-pub(crate) fn half_to<S: Simd>(simd: S, t: S::f32s) -> S::f32s {
-    let t = t.min(S::f32s::splat(simd, FARTHEST));
-    let whole = S::f32s::splat(simd, MAGIC) - t;
+pub(crate) fn half_to<S: Simd, F: SimdFloat<S, Element = f32>>(simd: S, t: F) -> F {
+    let t = t.min(F::splat(simd, FARTHEST));
+    let whole = F::splat(simd, MAGIC) - t;
     let g = t + (whole - MAGIC);
     let p = ((g * POWER[3] + POWER[2]) * g + POWER[1]) * g + POWER[0];
     let p = p * g + 1.0;
-    let bits = p.bitcast::<S::u32s>() + (whole.bitcast::<S::u32s>() << 23);
-    bits.bitcast()
+    F::from_bits(p.to_bits() + (whole.to_bits() << 23))
 }
 
-fn ring<const N: usize>(y: isize) -> usize {
-    (y + 30).unsigned_abs() % N
+fn ring(y: isize) -> usize {
+    (y + 30).unsigned_abs() % 5
 }
 
 /// One step in f64 on planes Y, U, V (not scaled) at (`x`, `y`): eq. 1-3.
