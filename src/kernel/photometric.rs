@@ -7,8 +7,8 @@
 //! 2. s is symmetric: twelve weights a pixel (two in its row, five in each of the next two) serve all 24
 //!    neighbors. Weight rows live in a ring of three rows; a band recomputes the two rows above it.
 //! 3. 2^-t: a magic addition splits t into the nearest integer and g in ±½; a polynomial gives 2^-g and the
-//!    integer goes into the exponent bits. t is cut at [`FARTHEST`], where the weight is nothing in f32.
-//! 4. Work goes in strips of [`STRIP`] columns on copied rows of constant length, so that all offsets are known to
+//!    integer goes into the exponent bits. t is cut at `FARTHEST`, where the weight is nothing in f32.
+//! 4. Work goes in strips of `STRIP` columns on copied rows of constant length, so that all offsets are known to
 //!    the compiler and the working set (29 KB) stays in the first cache.
 //!
 //! Every pixel sums its taps in one fixed order; neither bands nor strips nor the SIMD level touch it.

@@ -1,6 +1,6 @@
 //! Exact nearest-site labels: for every pixel the site closest to its center, the lowest index among equals.
 //!
-//! Sites lie on a lattice of 1/16 px in the continuous frame [0,W]x[0,H] (pixel (i, j) is sampled at
+//! Sites lie on a lattice of 1/16 px in the continuous frame `[0,W]x[0,H]` (pixel (i, j) is sampled at
 //! (i + 1/2, j + 1/2)), so squared distances are whole numbers. Each site is splatted over a window of pixels around
 //! it as `min(distance² << bits | index)`: one add and one minimum a pixel. A window that holds every pixel within
 //! `reach` of its site proves the result: whatever distance up to `reach` a pixel ends with is its least. The few

@@ -1,10 +1,10 @@
 //! The cartoon style (Fischer & Bartz 2005, "Real-time Cartoon-like Stylization of AR Video Streams on the GPU";
 //! Fischer 2006, section 3.3): one filter over the whole augmented picture.
 //!
-//! 1. The camera picture with the models over it shrinks by exact area average ([`area`]).
-//! 2. Seven photometric steps on YUV flatten its colors ([`photometric`]): the simplified picture S.
-//! 3. On the shrunk grid S becomes RGB and six Sobel gradients ([`grid`]).
-//! 4. One pass over the output rows ([`finish`]) enlarges those, takes the gradients' magnitudes (eq. 4), adds
+//! 1. The camera picture with the models over it shrinks by exact area average (`kernel::area`).
+//! 2. Seven photometric steps on YUV flatten its colors (`photometric`): the simplified picture S.
+//! 3. On the shrunk grid S becomes RGB and six Sobel gradients (`grid`).
+//! 4. One pass over the output rows (`finish`) enlarges those, takes the gradients' magnitudes (eq. 4), adds
 //!    the full-resolution edges, turns both into line strength I (eq. 5) and writes S·(1 - I).
 //!
 //! Nothing of a frame is kept for the next: the same picture always gives the same bytes.

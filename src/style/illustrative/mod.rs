@@ -1,6 +1,6 @@
 //! The illustrative style (Fischer 2006, sections 4.2 and 4.3): black edges and cross-hatching on paper.
 //!
-//! 1. Edges are where the YUV response reaches a threshold ([`contrast`], eq. 4.11).
+//! 1. Edges are where the YUV response reaches a threshold (`contrast`, eq. 4.11).
 //! 2. Brightness is Y averaged over 3x3 pixels; hatching is where it stays below the procedural halftone threshold
 //!    of the pixel (eq. 4.7, 4.8 and 4.13), which is laid out once a frame size.
 //! 3. Either makes a pixel black; every other pixel is paper.

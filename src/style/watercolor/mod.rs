@@ -1,8 +1,8 @@
 //! The watercolor style (Chen, Turk & MacIntyre 2008, "Watercolor Inspired Non-Photorealistic Rendering for Augmented
 //! Reality"): colors bleed over the edges of the picture in Voronoi cells that lean on those edges.
 //!
-//! 1. Every pixel is labeled with its nearest site, exactly ([`voronoi`]); sites start on a jittered grid ([`sites`]).
-//! 2. Edges are found in YUV and RGB ([`contrast`]) and each cell's colors and edge pixels are summed ([`sums`]).
+//! 1. Every pixel is labeled with its nearest site, exactly (`voronoi`); sites start on a jittered grid (`sites`).
+//! 2. Edges are found in YUV and RGB (`contrast`) and each cell's colors and edge pixels are summed (`sums`).
 //! 3. A pixel gets its cell's mean color; an edge pixel is black.
 //! 4. Re-tiling: a cell with enough edge pixels moves its site to their mean, for the next frame.
 //!
@@ -46,7 +46,7 @@ pub struct Config {
     pub retile_every: u32,
     /// Seed of the jittered grid, 0 to 2^63 - 1. Default 2008.
     pub seed: u64,
-    /// A .npy file of sites (N x 2, x and y in px, the frame being [0,W]x[0,H]) to begin with in place of the
+    /// A .npy file of sites (N x 2, x and y in px, the frame being `[0,W]x[0,H]`) to begin with in place of the
     /// jittered grid; relative to the working directory; rounded to 1/16 px. Default "" (the grid).
     pub sites: SitesFile,
 }

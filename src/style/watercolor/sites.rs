@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// Sites in steps of 1/16 px: x, y in the continuous frame [0,W]x[0,H].
+/// Sites in steps of 1/16 px: x, y in the continuous frame `[0,W]x[0,H]`.
 pub type Sites = Vec<[i32; 2]>;
 
 /// Most sites a file may hold.
