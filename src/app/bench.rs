@@ -6,9 +6,10 @@ use crate::camera::Synthetic;
 use crate::display::Sink;
 use crate::frame::{Frame, Needs};
 use crate::geometry::Lens;
+use crate::kernel::yuv::{self, Coding, Samples};
 use crate::marker::Family;
 use crate::pipeline::Stage;
-use crate::pixels::{Rgb, Size, simd};
+use crate::pixels::{Plane, Rgb, Size, simd};
 use crate::render::{Camera, Placed, Renderer};
 use crate::scene::{Mesh, Scene};
 use crate::style::{self, StyleInput, StyleName, Styler};
@@ -78,7 +79,8 @@ impl Times {
 
 pub fn run(args: Args) -> anyhow::Result<()> {
     let all = !(args.styles || args.tracking || args.raster);
-    let parts: [(bool, Part); 4] = [
+    let parts: [(bool, Part); 5] = [
+        (all, Bench::convert),
         (all || args.tracking, Bench::tracking),
         (all || args.raster, Bench::raster),
         (all || args.styles, Bench::styles),
@@ -174,6 +176,18 @@ impl Bench {
 
     fn row(&self, stage: &'static str, variant: impl Into<String>, times: Times, error: String) -> Row {
         Row { stage, variant: variant.into(), threads: self.threads, times, error }
+    }
+
+    /// The packed 4:2:2 picture that most cameras give.
+    fn convert(&self) -> Vec<Row> {
+        let size = self.camera.lens().size;
+        let byte = |x: usize, y: usize| self.frames[0].color.planes[x % 3].at(x / 2, y);
+        let bytes = Plane::from_fn(Size::new(2 * size.width, size.height), byte);
+        let (samples, coding) = (Samples::Yuyv(bytes.view()), Coding::default());
+        let (mut luma, mut color) = (Plane::default(), Rgb::default());
+        let times = self.time(|_| yuv::to_rgb(simd::best(), &samples, size, coding, &mut luma, &mut color));
+        let error = compare(&color, &yuv::reference::to_rgb(&samples, size, coding).1);
+        vec![self.row("camera", "yuyv to frame", times, error)]
     }
 
     fn tracking(&self) -> Vec<Row> {
