@@ -4,8 +4,9 @@
 //! parallel bands; buffers are kept from picture to picture.
 
 use super::{Filter, Scale};
+use crate::pixels::simd::{Level, dispatch};
 use crate::pixels::{Rgb, Size, simd};
-use fearless_simd::{Level, Simd, dispatch};
+use fearless_simd::Simd;
 use rayon::prelude::*;
 
 /// Rows per task: small enough for two cores to share 480 rows evenly.

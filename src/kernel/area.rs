@@ -4,9 +4,9 @@
 //! overlap is a whole number of 1/q pixels and sums to p, so weights are integers: rows add up exactly in u16
 //! (u32 where 255·p needs it), columns in f32, and one multiplication by 1/(255·p·p') ends it.
 
-use crate::pixels::simd::Level;
+use crate::pixels::simd::{Level, dispatch};
 use crate::pixels::{Plane, PlaneRef, Size};
-use fearless_simd::{Simd, dispatch};
+use fearless_simd::Simd;
 use rayon::prelude::*;
 
 /// Row accumulators, one a band.

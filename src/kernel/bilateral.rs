@@ -6,9 +6,9 @@
 #![allow(clippy::needless_range_loop)] // channels index several arrays in step
 
 use super::photometric::{chroma_gain, half_to};
-use crate::pixels::simd::Level;
+use crate::pixels::simd::{Level, dispatch};
 use crate::pixels::{Plane, Size};
-use fearless_simd::{Simd, SimdBase, dispatch};
+use fearless_simd::{Simd, SimdBase};
 use rayon::prelude::*;
 
 /// Pixels the window reaches from its center.

@@ -11,9 +11,9 @@
 #![allow(clippy::needless_range_loop)] // rows and lanes index several arrays in step
 
 use super::sobel::Lines;
-use crate::pixels::simd::Level;
+use crate::pixels::simd::{Level, dispatch};
 use crate::pixels::{Plane, Rgb, Size};
-use fearless_simd::{Bytes, Simd, SimdBase, dispatch, i16x16, u16x16};
+use fearless_simd::{Bytes, Simd, SimdBase, i16x16, u16x16};
 use rayon::prelude::*;
 
 /// Samples before the first of a row of the map or of magnitudes: never an edge.

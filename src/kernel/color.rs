@@ -3,9 +3,9 @@
 //! Y = .299R + .587G + .114B, U = (.436/.886)(B-Y), V = (.615/.701)(R-Y) with R, G, B in 0..1, so that
 //! Y is in 0..1, U in ±.436, V in ±.615. The row bodies are plain loops: they vectorize at every level.
 
-use crate::pixels::simd::Level;
+use crate::pixels::simd::{Level, dispatch};
 use crate::pixels::{Plane, Rgb};
-use fearless_simd::{Simd, dispatch};
+use fearless_simd::Simd;
 use rayon::prelude::*;
 
 /// Weights of R, G, B in Y.

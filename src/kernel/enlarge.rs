@@ -7,9 +7,9 @@
 //! other ratios gather one by one, with the same arithmetic.
 #![allow(clippy::needless_range_loop)] // lanes and channels index several arrays in step
 
-use crate::pixels::simd::Level;
+use crate::pixels::simd::{Level, dispatch};
 use crate::pixels::{Plane, PlaneRef, Size};
-use fearless_simd::{Bytes, Simd, SimdBase, SimdCombine, dispatch, f32x4, f32x8, u8x32};
+use fearless_simd::{Bytes, Simd, SimdBase, SimdCombine, f32x4, f32x8, u8x32};
 use rayon::prelude::*;
 
 /// Samples a grown row must have beyond its `input + 2`: loads of four may reach past the last one.

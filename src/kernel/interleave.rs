@@ -1,8 +1,8 @@
 //! Interleaved RGB bytes (as decoders and displays keep them) to planes and back.
 
-use crate::pixels::simd::Level;
+use crate::pixels::simd::{Level, dispatch};
 use crate::pixels::{Rgb, Size};
-use fearless_simd::{Simd, dispatch};
+use fearless_simd::Simd;
 use rayon::prelude::*;
 
 /// Splits rows of R, G, B bytes into `picture`, which is fitted to `size`. `bytes` holds `3 * size.area()`

@@ -15,8 +15,8 @@
 #![allow(clippy::needless_range_loop)] // offsets and channels index several arrays in step
 
 use crate::pixels::Plane;
-use crate::pixels::simd::Level;
-use fearless_simd::{Bytes, Simd, SimdBase, SimdFloat, dispatch, f32x4, f32x8, f64x2};
+use crate::pixels::simd::{Level, dispatch};
+use fearless_simd::{Bytes, Simd, SimdBase, SimdFloat, f32x4, f32x8, f64x2};
 use rayon::prelude::*;
 use std::hint::black_box;
 

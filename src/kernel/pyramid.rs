@@ -5,9 +5,9 @@
 //! widened row makes the neighbor before the first the second, and the one after the last the last itself.
 //! From bytes the sums are exact integers; every sample is summed in one fixed order.
 
-use crate::pixels::simd::Level;
+use crate::pixels::simd::{Level, dispatch};
 use crate::pixels::{Plane, PlaneRef, Size};
-use fearless_simd::{Simd, SimdBase, dispatch, f32x8};
+use fearless_simd::{Simd, SimdBase, f32x8};
 use rayon::prelude::*;
 
 /// Samples before the first of a widened row.

@@ -5,9 +5,9 @@
 //! plain row form.
 #![allow(clippy::needless_range_loop)] // lanes and channels index several arrays in step
 
-use crate::pixels::simd::Level;
+use crate::pixels::simd::{Level, dispatch};
 use crate::pixels::{Plane, PlaneRef};
-use fearless_simd::{Simd, SimdBase, dispatch, i16x16};
+use fearless_simd::{Simd, SimdBase, i16x16};
 use rayon::prelude::*;
 
 /// Samples before the first pixel of a [`Lines`] row.

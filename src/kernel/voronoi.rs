@@ -7,9 +7,9 @@
 //! pixels that end beyond it (sites that wandered off, any file of sites) are searched one by one through the
 //! sites' buckets, ring by ring. The labels are therefore exact for every set of sites, only not equally fast.
 
-use crate::pixels::simd::Level;
+use crate::pixels::simd::{Level, dispatch};
 use crate::pixels::{Plane, PlaneMut, Size};
-use fearless_simd::{Simd, SimdBase, dispatch, u32x8};
+use fearless_simd::{Simd, SimdBase, u32x8};
 use rayon::prelude::*;
 
 /// Lattice steps in a pixel.

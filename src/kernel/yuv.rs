@@ -13,8 +13,9 @@ mod unpack;
 
 pub use encode::{from_rgb, luma_of_rgb};
 
-use crate::pixels::{Plane, PlaneRef, Rgb, Size, simd::Level};
-use fearless_simd::{dispatch, prelude::*};
+use crate::pixels::simd::{Level, dispatch};
+use crate::pixels::{Plane, PlaneRef, Rgb, Size};
+use fearless_simd::prelude::*;
 use rayon::prelude::*;
 use unpack::{BLOCK, Scratch};
 

@@ -8,9 +8,9 @@
 use super::bins::{Chunk, OWN, Record};
 use super::shade::{Kind, Surface, sample};
 use super::{Needs, TILE_AREA, View};
-use crate::pixels::simd::Level;
+use crate::pixels::simd::{Level, dispatch};
 use crate::pixels::{Rgb, TILE};
-use fearless_simd::{Simd, SimdBase, SimdFrom, dispatch, f32x8, i32x8, mask32x8, prelude::*};
+use fearless_simd::{Simd, SimdBase, SimdFrom, f32x8, i32x8, mask32x8, prelude::*};
 
 /// Pixels of a run.
 const RUN: usize = 8;

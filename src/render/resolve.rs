@@ -3,9 +3,8 @@
 
 use super::raster::Slot;
 use crate::frame::Layer;
-use crate::pixels::simd::Level;
+use crate::pixels::simd::{Level, dispatch};
 use crate::pixels::{Plane, PlaneMut, TILE, TileGrid, TileSet};
-use fearless_simd::dispatch;
 use rayon::prelude::*;
 
 /// Which tiles a band of rows must write.

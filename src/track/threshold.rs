@@ -5,8 +5,9 @@
 //! costs nothing. Local contrast on 4x4 tiles dilated 3x3 as in AprilTag (Wang & Olson 2016, §III-A), but the
 //! limit of flatness follows the frame's measured noise instead of a fixed number of gray levels.
 
+use crate::pixels::simd::{Level, dispatch};
 use crate::pixels::{PlaneRef, Size};
-use fearless_simd::{Level, dispatch, prelude::*, u8x16, u8x64, u32x16};
+use fearless_simd::{prelude::*, u8x16, u8x64, u32x16};
 use rayon::prelude::*;
 
 /// Side of a tile, px.

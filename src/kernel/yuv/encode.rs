@@ -1,8 +1,9 @@
 //! RGB to luma and to full-range BT.601 YUV 4:4:4, in exact integers.
 
 use super::to_level;
-use crate::pixels::{Plane, PlaneMut, Rgb, simd::Level};
-use fearless_simd::{dispatch, prelude::*};
+use crate::pixels::simd::{Level, dispatch};
+use crate::pixels::{Plane, PlaneMut, Rgb};
+use fearless_simd::prelude::*;
 use rayon::prelude::*;
 
 const BAND: usize = 32;

@@ -2,9 +2,9 @@
 
 use crate::kernel::canny::Canny;
 use crate::kernel::{band_rows, pyramid};
-use crate::pixels::simd::Level;
+use crate::pixels::simd::{Level, dispatch};
 use crate::pixels::{Plane, Rgb};
-use fearless_simd::{Bytes, Simd, SimdBase, dispatch, f32x8, u8x16, u16x16};
+use fearless_simd::{Bytes, Simd, SimdBase, f32x8, u8x16, u16x16};
 use rayon::prelude::*;
 
 /// Scratch rows of the pass.

@@ -4,9 +4,9 @@ use super::super::{ConfigError, Style, StyleInput, StyleName, composite};
 use crate::frame::Needs;
 use crate::kernel::band_rows;
 use crate::kernel::canny::Canny;
-use crate::pixels::simd::Level;
+use crate::pixels::simd::{Level, dispatch};
 use crate::pixels::{Plane, Rgb};
-use fearless_simd::{Simd, dispatch};
+use fearless_simd::Simd;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 

@@ -14,9 +14,9 @@ use super::{Config, Stages};
 use crate::kernel::enlarge::{BLOCK, Eight, Taps, blend_rows};
 use crate::kernel::sobel::Lines;
 use crate::kernel::{band_rows, color};
-use crate::pixels::simd::Level;
+use crate::pixels::simd::{Level, dispatch};
 use crate::pixels::{PlaneMut, Rgb};
-use fearless_simd::{Bytes, Simd, SimdBase, SimdFloat, dispatch, f32x8, i16x16, u8x16, u16x16};
+use fearless_simd::{Bytes, Simd, SimdBase, SimdFloat, f32x8, i16x16, u8x16, u16x16};
 use rayon::prelude::*;
 
 /// Gradients of bytes are 4·255 times those of 0..1.

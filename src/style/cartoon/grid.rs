@@ -7,9 +7,9 @@
 #![allow(clippy::needless_range_loop)] // lanes and channels index several arrays in step
 
 use crate::kernel::{color, enlarge, sobel};
-use crate::pixels::simd::Level;
+use crate::pixels::simd::{Level, dispatch};
 use crate::pixels::{Plane, Size};
-use fearless_simd::{Simd, dispatch};
+use fearless_simd::Simd;
 use rayon::prelude::*;
 
 /// Planes in a row of the grid.

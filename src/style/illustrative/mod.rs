@@ -17,9 +17,9 @@ use crate::kernel::band_rows;
 use crate::kernel::color::LUMA;
 use crate::kernel::contrast::{self, BLOCK, Weights};
 use crate::kernel::sobel::Lines;
-use crate::pixels::simd::Level;
+use crate::pixels::simd::{Level, dispatch};
 use crate::pixels::{Plane, PlaneMut, Rgb, Size};
-use fearless_simd::{Simd, SimdBase, dispatch, f32x8, i16x16};
+use fearless_simd::{Simd, SimdBase, f32x8, i16x16};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
