@@ -4,7 +4,7 @@
 use crate::geometry::Pose;
 use crate::marker::Family;
 use crate::pixels::{Plane, Rgb, Size, TileGrid, TileSet};
-use glam::DVec2;
+use glam::{DVec2, Vec3};
 use std::time::Duration;
 
 /// The monotonic clock that pictures are stamped with: by the kernel when taken, by us when shown.
@@ -82,6 +82,10 @@ impl Needs {
     pub const NORMAL: Needs = Needs(4);
     /// Depth and normal of the second-nearest surface.
     pub const SECOND_LAYER: Needs = Needs(8);
+    /// Thick outlines.
+    pub const SILHOUETTE: Needs = Needs(16);
+    /// The models as points instead of surfaces.
+    pub const PARTICLES: Needs = Needs(32);
 
     /// Both.
     pub const fn and(self, other: Needs) -> Needs {
@@ -108,6 +112,10 @@ pub struct Layer {
     pub depth2: Plane<f32>,
     /// Second-nearest normal, 0 where there is none.
     pub normal2: [Plane<f32>; 3],
+    /// Nearest and farthest camera z of all drawn models, mm; the first is the larger when nothing is drawn.
+    pub extent: [f32; 2],
+    /// Unit vector towards the light that shaded the models, camera space.
+    pub light: Vec3,
     /// Tiles with at least one covered pixel.
     pub touched: TileSet,
     /// How the picture divides into those tiles.

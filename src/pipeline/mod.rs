@@ -15,7 +15,7 @@ use crate::frame::{Frame, Sighting};
 use crate::geometry::Lens;
 use crate::pixels::Rgb;
 use crate::pixels::simd::Level;
-use crate::render::{Camera, Placed, Renderer};
+use crate::render::{Camera, Look, Placed, Renderer};
 use crate::scene::Scene;
 use crate::style::{self, StyleInput, Styler};
 use crate::track::{self, Tracker, Wanted};
@@ -87,7 +87,7 @@ impl Pipeline {
 
     /// The plan for a frame with this view.
     pub fn plan(&self, view: View) -> Plan {
-        Plan::new(&self.scene, self.styler.needs(), self.styler.filters(), view)
+        Plan::new(&self.scene, self.styler.look().needs, self.styler.filters(), view)
     }
 
     /// Draws one frame: the whole way through, top to bottom.
@@ -102,10 +102,11 @@ impl Pipeline {
         };
         place(&self.scene, sightings, &mut self.placed);
         let view = View::Models(self.placed.len());
-        let plan = Plan::new(&self.scene, self.styler.needs(), self.styler.filters(), view);
+        let plan = Plan::new(&self.scene, self.styler.look().needs, self.styler.filters(), view);
         let layer = plan.render.runs.then(|| {
             timings.measure(Stage::Render, || {
-                self.renderer.draw(&self.scene, &self.placed, &self.camera, plan.needs)
+                let look = Look { needs: plan.needs, ..self.styler.look() };
+                self.renderer.draw(&self.scene, &self.placed, &self.camera, look)
             })
         });
         self.canvas.resize(frame.size());

@@ -24,7 +24,7 @@ use crate::frame::{Layer, Needs};
 use crate::geometry::Lens;
 use crate::pixels::simd::Level;
 use crate::pixels::{Size, TILE, TileGrid, TileSet};
-use crate::scene::Scene;
+use crate::scene::{Scene, Shading};
 use bins::Chunk;
 use field::Field;
 use glam::DAffine3;
@@ -42,6 +42,22 @@ pub struct Camera {
     pub near: f64,
     /// Beyond this camera z (mm) is nothing.
     pub far: f64,
+}
+
+/// What a style asks of the renderer: which products, and how the models look in it.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Look {
+    /// The products; nothing else is computed.
+    pub needs: Needs,
+    /// Shading in place of each model's own.
+    pub shading: Option<Shading>,
+}
+
+impl From<Needs> for Look {
+    /// These products, models as the scene has them.
+    fn from(needs: Needs) -> Self {
+        Look { needs, ..Look::default() }
+    }
 }
 
 /// One model of the scene put before the camera.
@@ -114,7 +130,7 @@ impl Renderer {
         }
     }
 
-    /// Draws the placed models: only the products in `needs`, only the tiles they touch.
+    /// Draws the placed models: only the products that `look` needs, only the tiles they touch.
     ///
     /// Depth comes with color even when it is not asked for, since it is the coverage mask. Equal depths
     /// keep the fragment submitted first: in the order of `placed`, then of the mesh's triangles. Triangles
@@ -122,13 +138,23 @@ impl Renderer {
     /// exist, an unusable camera (near ≤ 0, far ≤ near, not finite, picture side above 16384 px) likewise.
     /// Straight edges that the lens bends are split until they are within `SPLIT_TOLERANCE_PX` of the
     /// curve. Runs on rayon's current pool.
-    pub fn draw(&mut self, scene: &Scene, placed: &[Placed], camera: &Camera, needs: Needs) -> &Layer {
+    pub fn draw(
+        &mut self,
+        scene: &Scene,
+        placed: &[Placed],
+        camera: &Camera,
+        look: impl Into<Look>,
+    ) -> &Layer {
+        let look = look.into();
+        let needs = look.needs;
         let size = camera.lens.size;
         let grid = TileGrid::new(size);
         self.fit(size, needs);
         std::mem::swap(&mut self.previous, &mut self.layer.touched);
         self.layer.touched.reset(grid);
         self.layer.grid = Some(grid);
+        self.layer.light = scene.light.direction;
+        self.layer.extent = [f32::INFINITY, f32::NEG_INFINITY];
         self.slot_of.clear();
         self.slot_of.resize(grid.count(), u32::MAX);
         let usable = camera.near > 0.0 && camera.far > camera.near && camera.far.is_finite();
@@ -137,7 +163,7 @@ impl Renderer {
             if self.field.as_ref().is_none_or(|field| *field.lens() != camera.lens) {
                 self.field = Some(Field::new(camera.lens));
             }
-            used = self.rasterise(scene, placed, camera, grid, needs);
+            used = self.rasterise(scene, placed, camera, grid, &look);
         }
         for (k, slot) in self.slots[..used].iter().enumerate() {
             if slot.covered {
@@ -192,9 +218,9 @@ impl Renderer {
         placed: &[Placed],
         camera: &Camera,
         grid: TileGrid,
-        needs: Needs,
+        look: &Look,
     ) -> usize {
-        let Self { level, field, vertices, instances, surfaces, chunks, slots, slot_of, .. } = self;
+        let Self { level, layer, field, vertices, instances, surfaces, chunks, slots, slot_of, .. } = self;
         let Some(field) = field.as_ref() else { return 0 };
         instances.clear();
         surfaces.clear();
@@ -202,7 +228,8 @@ impl Renderer {
         for &placed in placed {
             let Some(model) = scene.models.get(placed.model) else { continue };
             instances.push(Instance { placed, first_vertex: vertex_count, first_surface: surfaces.len() });
-            Surface::push_all(placed.model, model, &scene.light, surfaces);
+            let shading = look.shading.unwrap_or(model.shading);
+            Surface::push_all(placed.model, model, shading, &scene.light, surfaces);
             vertex_count += model.mesh.positions.len();
             triangle_count += model.mesh.triangles.len();
         }
@@ -210,8 +237,9 @@ impl Renderer {
         for instance in instances.iter() {
             let mesh = &scene.models[instance.placed.model].mesh;
             let out = &mut vertices[instance.first_vertex..][..mesh.positions.len()];
-            vertex::place(mesh, &instance.placed.to_camera, camera, field, &scene.light, needs, out);
+            vertex::place(mesh, &instance.placed.to_camera, camera, field, &scene.light, look.needs, out);
         }
+        layer.extent = extent(vertices, camera);
         let view = View { scene, camera, field, grid, instances, surfaces, vertices };
 
         let length = CHUNK.max(triangle_count.div_ceil(MAX_CHUNKS));
@@ -244,6 +272,17 @@ impl Renderer {
         });
         used
     }
+}
+
+/// Nearest and farthest camera z of the vertices; those that must be cut count as on the near plane. The first
+/// is the larger when there are none.
+fn extent(vertices: &[Vertex], camera: &Camera) -> [f32; 2] {
+    let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
+    for vertex in vertices.iter().filter(|vertex| vertex.w >= 0.0) {
+        let z = if vertex.w > 0.0 { 1.0 / vertex.w } else { camera.near };
+        (low, high) = (low.min(z), high.max(z));
+    }
+    [low.max(camera.near) as f32, high.min(camera.far) as f32]
 }
 
 /// Pixels of a slot.

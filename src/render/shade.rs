@@ -28,8 +28,14 @@ pub(super) struct Surface {
 
 impl Surface {
     /// One surface a material, and a last one, white, for triangles without a material.
-    pub fn push_all(index: usize, model: &Model, light: &Light, surfaces: &mut Vec<Surface>) {
-        let (kind, ramp) = match model.shading {
+    pub fn push_all(
+        index: usize,
+        model: &Model,
+        shading: Shading,
+        light: &Light,
+        surfaces: &mut Vec<Surface>,
+    ) {
+        let (kind, ramp) = match shading {
             Shading::Smooth => (Kind::Smooth, [0.0; 32]),
             Shading::Flat => (Kind::Flat, [0.0; 32]),
             Shading::Toon { steps, base } => (Kind::Toon, ramp(steps, base)),

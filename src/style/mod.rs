@@ -17,6 +17,7 @@ pub use config::{Config, ConfigError, StyleName};
 use crate::frame::{Frame, Layer, Needs};
 use crate::pixels::Rgb;
 use crate::pixels::simd::Level;
+use crate::render::Look;
 
 /// What a style draws from.
 #[derive(Clone, Copy)]
@@ -30,8 +31,10 @@ pub struct StyleInput<'a> {
 /// The contract of a style: the same frames in the same order give the same bytes for any thread count and SIMD
 /// level, and nothing is allocated once the picture size has been seen.
 pub trait Style {
-    /// What it wants from the renderer.
-    const NEEDS: Needs;
+    /// What it wants from the renderer: color alone, unless it says otherwise.
+    fn look(&self) -> Look {
+        Needs::COLOR.into()
+    }
 
     /// Draws one frame; `out` is fitted to the frame's size.
     fn draw(&mut self, input: StyleInput<'_>, out: &mut Rgb);
@@ -102,14 +105,14 @@ impl Styler {
     }
 
     /// What it wants from the renderer.
-    pub fn needs(&self) -> Needs {
+    pub fn look(&self) -> Look {
         match self {
-            Styler::Plain(_) => plain::Plain::NEEDS,
-            Styler::Cartoon(_) => cartoon::Cartoon::NEEDS,
-            Styler::BilateralCartoon(_) => bilateral::BilateralCartoon::NEEDS,
-            Styler::SketchLike(_) => bilateral::SketchLike::NEEDS,
-            Styler::Watercolor(_) => watercolor::Watercolor::NEEDS,
-            Styler::Illustrative(_) => illustrative::Illustrative::NEEDS,
+            Styler::Plain(style) => style.look(),
+            Styler::Cartoon(style) => style.look(),
+            Styler::BilateralCartoon(style) => style.look(),
+            Styler::SketchLike(style) => style.look(),
+            Styler::Watercolor(style) => style.look(),
+            Styler::Illustrative(style) => style.look(),
         }
     }
 

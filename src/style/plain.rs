@@ -1,7 +1,6 @@
 //! Conventional augmented reality: the models over the camera picture, nothing stylized.
 
 use super::{Style, StyleInput, composite};
-use crate::frame::Needs;
 use crate::pixels::Rgb;
 
 /// The style without settings or state.
@@ -9,8 +8,6 @@ use crate::pixels::Rgb;
 pub struct Plain;
 
 impl Style for Plain {
-    const NEEDS: Needs = Needs::COLOR;
-
     fn draw(&mut self, input: StyleInput<'_>, out: &mut Rgb) {
         out.copy_from(&input.frame.color);
         if let Some(layer) = input.layer {

@@ -19,7 +19,6 @@ pub use reference::{reference, sketch_reference};
 pub use sketch::{Lines, SketchLike};
 
 use super::{ConfigError, Style, StyleInput, StyleName, composite};
-use crate::frame::Needs;
 use crate::kernel::bilateral::Bilateral;
 use crate::kernel::canny::Canny;
 use crate::kernel::pyramid::{self, Down, Up};
@@ -138,8 +137,6 @@ impl BilateralCartoon {
 }
 
 impl Style for BilateralCartoon {
-    const NEEDS: Needs = Needs::COLOR;
-
     fn draw(&mut self, input: StyleInput<'_>, out: &mut Rgb) {
         let mut canvas = std::mem::take(&mut self.canvas);
         let picture = composite::augmented(&input, &mut canvas);

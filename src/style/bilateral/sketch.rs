@@ -1,7 +1,6 @@
 //! Sketch-like: black silhouette lines on white, the bilateral cartoon's edges alone.
 
 use super::super::{ConfigError, Style, StyleInput, StyleName, composite};
-use crate::frame::Needs;
 use crate::kernel::band_rows;
 use crate::kernel::canny::Canny;
 use crate::pixels::simd::{Level, dispatch};
@@ -71,8 +70,6 @@ impl SketchLike {
 }
 
 impl Style for SketchLike {
-    const NEEDS: Needs = Needs::COLOR;
-
     fn draw(&mut self, input: StyleInput<'_>, out: &mut Rgb) {
         let mut canvas = std::mem::take(&mut self.canvas);
         let picture = composite::augmented(&input, &mut canvas);

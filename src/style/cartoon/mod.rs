@@ -16,7 +16,6 @@ mod reference;
 pub use reference::reference;
 
 use super::{ConfigError, Style, StyleInput, StyleName, composite};
-use crate::frame::Needs;
 use crate::kernel::area::Shrink;
 use crate::kernel::{color, photometric};
 use crate::pixels::simd::Level;
@@ -198,8 +197,6 @@ impl Cartoon {
 }
 
 impl Style for Cartoon {
-    const NEEDS: Needs = Needs::COLOR;
-
     fn draw(&mut self, input: StyleInput<'_>, out: &mut Rgb) {
         let mut canvas = std::mem::take(&mut self.canvas);
         let picture = composite::augmented(&input, &mut canvas);

@@ -12,7 +12,6 @@ mod reference;
 pub use reference::{halftone, reference};
 
 use super::{ConfigError, Style, StyleInput, StyleName, composite};
-use crate::frame::Needs;
 use crate::kernel::band_rows;
 use crate::kernel::color::LUMA;
 use crate::kernel::contrast::{self, BLOCK, Weights};
@@ -164,8 +163,6 @@ impl Illustrative {
 }
 
 impl Style for Illustrative {
-    const NEEDS: Needs = Needs::COLOR;
-
     fn draw(&mut self, input: StyleInput<'_>, out: &mut Rgb) {
         let mut canvas = std::mem::take(&mut self.canvas);
         let picture = composite::augmented(&input, &mut canvas);

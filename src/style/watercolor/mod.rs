@@ -17,7 +17,6 @@ pub use reference::reference;
 pub use sites::{Sites, SitesFile, initial};
 
 use super::{ConfigError, Style, StyleInput, StyleName, composite};
-use crate::frame::Needs;
 use crate::kernel::band_rows;
 use crate::kernel::contrast::Weights;
 use crate::kernel::voronoi::Voronoi;
@@ -177,8 +176,6 @@ impl Watercolor {
 }
 
 impl Style for Watercolor {
-    const NEEDS: Needs = Needs::COLOR;
-
     fn draw(&mut self, input: StyleInput<'_>, out: &mut Rgb) {
         let mut canvas = std::mem::take(&mut self.canvas);
         let picture = composite::augmented(&input, &mut canvas);
