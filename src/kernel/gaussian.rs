@@ -79,7 +79,7 @@ impl Gaussian {
         }
         let halo = halved.halo();
         let height = size.height.div_ceil(2) + 2 * halo;
-        halves.stride = size.width.div_ceil(2).next_multiple_of(8) + 16;
+        halves.stride = (size.width.div_ceil(2) + 2).next_multiple_of(16);
         let length = (size.width + 4 * halo + 8).next_multiple_of(16) + 32;
         let band = super::band_rows(height, 8);
         if halves.rows.len() < halves.stride * height {
@@ -146,8 +146,7 @@ impl Gaussian {
         line[MARGIN + width..][..radius].fill(last);
         let line = &line[MARGIN - radius..];
         for x in (0..width).step_by(8) {
-            symmetric(simd, &self.kernel, |k| &line[x + radius - k..], |k| &line[x + radius + k..])
-                .store_slice(&mut out[x..x + 8]);
+            symmetric(simd, &self.kernel, &line[x..]).store_slice(&mut out[x..x + 8]);
         }
     }
 
@@ -248,10 +247,8 @@ impl Halved {
         for i in 0..count {
             halves[i] = ((e0[i] + e2[i]) + (o0[i] + o1[i]) * 4.0 + e1[i] * 6.0) * (1.0 / 256.0);
         }
-        let radius = halo - 1;
         for x in (0..n.div_ceil(2) + 2).step_by(8) {
-            symmetric(simd, &self.kernel, |k| &line[x + radius - k..], |k| &line[x + radius + k..])
-                .store_slice(&mut out[x..x + 8]);
+            symmetric(simd, &self.kernel, &line[x..]).store_slice(&mut out[x..x + 8]);
         }
     }
 
@@ -267,20 +264,31 @@ impl Halved {
         out: &mut [f32],
     ) {
         let center = y / 2 + self.halo();
-        let row = |i: usize| &halves.rows[i * halves.stride..][..halves.stride];
         let count = width.div_ceil(2);
-        for x in (0..count + 2).step_by(8) {
-            let sum = if y % 2 == 0 {
-                symmetric(simd, &self.even, |k| &row(center - k)[x..], |k| &row(center + k)[x..])
-            } else {
-                let mut sum = f32x8::splat(simd, 0.0);
-                for (k, &weight) in self.odd.iter().enumerate() {
-                    let above = f32x8::from_slice(simd, &row(center - k)[x..x + 8]);
-                    sum += (above + f32x8::from_slice(simd, &row(center + 1 + k)[x..x + 8])) * weight;
-                }
-                sum
-            };
-            sum.store_slice(&mut line[x..x + 8]);
+        let row = |i: usize| &halves.rows[i * halves.stride..][..halves.stride];
+        // pairs at the same distance; on even rows the first is the row itself, twice
+        let odd = y % 2;
+        let weights = if odd == 1 { &self.odd } else { &self.even };
+        let mut rows = [[&[][..]; 2]; MAX_RADIUS];
+        for (k, pair) in rows[..weights.len()].iter_mut().enumerate() {
+            *pair = [row(center - k), row(center + odd + k)];
+        }
+        let first = if odd == 1 { weights[0] } else { 0.5 * weights[0] };
+        let rows = rows[1..weights.len()].iter().zip(&weights[1..]);
+        for x in (0..count + 2).step_by(16) {
+            let [above, below] = [&row(center)[x..x + 16], &row(center + odd)[x..x + 16]];
+            let mut low =
+                (f32x8::from_slice(simd, &above[..8]) + f32x8::from_slice(simd, &below[..8])) * first;
+            let mut high =
+                (f32x8::from_slice(simd, &above[8..]) + f32x8::from_slice(simd, &below[8..])) * first;
+            for (&[above, below], &weight) in rows.clone() {
+                let (above, below) = (&above[x..x + 16], &below[x..x + 16]);
+                low += (f32x8::from_slice(simd, &above[..8]) + f32x8::from_slice(simd, &below[..8])) * weight;
+                high +=
+                    (f32x8::from_slice(simd, &above[8..]) + f32x8::from_slice(simd, &below[8..])) * weight;
+            }
+            low.store_slice(&mut line[x..x + 8]);
+            high.store_slice(&mut line[x + 8..x + 16]);
         }
         for x in (0..count).step_by(8) {
             let left = f32x8::from_slice(simd, &line[x..x + 8]);
@@ -295,17 +303,15 @@ impl Halved {
     }
 }
 
-/// Eight samples times the first weight, and the two at every distance times its weight.
+/// The kernel over eight samples; `line` begins with the first one's farthest tap.
 #[inline(always)]
-fn symmetric<'a, S: Simd>(
-    simd: S,
-    weights: &[f32],
-    before: impl Fn(usize) -> &'a [f32],
-    after: impl Fn(usize) -> &'a [f32],
-) -> f32x8<S> {
-    let mut sum = f32x8::from_slice(simd, &before(0)[..8]) * weights[0];
-    for (k, &weight) in (1..).zip(&weights[1..]) {
-        sum += (f32x8::from_slice(simd, &before(k)[..8]) + f32x8::from_slice(simd, &after(k)[..8])) * weight;
+fn symmetric<S: Simd>(simd: S, kernel: &[f32], line: &[f32]) -> f32x8<S> {
+    let radius = kernel.len() - 1;
+    let line = &line[..2 * radius + 8];
+    let mut sum = f32x8::from_slice(simd, &line[radius..radius + 8]) * kernel[0];
+    for (k, &weight) in (1..).zip(&kernel[1..]) {
+        let left = f32x8::from_slice(simd, &line[radius - k..radius - k + 8]);
+        sum += (left + f32x8::from_slice(simd, &line[radius + k..radius + k + 8])) * weight;
     }
     sum
 }

@@ -149,13 +149,20 @@ fn along([gx, gy]: [f64; 2]) -> [f64; 2] {
 /// The 3x3 samples around a pixel, borders repeated.
 #[inline(always)]
 fn around<T: Copy>(plane: &Plane<T>, x: usize, y: usize) -> [[T; 3]; 3] {
-    let size = plane.size();
+    let (size, stride) = (plane.size(), plane.stride());
+    if x > 0 && y > 0 && x + 1 < size.width && y + 1 < size.height {
+        let rows = &plane.samples()[(y - 1) * stride + x - 1..][..2 * stride + 3];
+        return [three(rows, 0, 1, 2), three(&rows[stride..], 0, 1, 2), three(&rows[2 * stride..], 0, 1, 2)];
+    }
     let (left, right) = (x.saturating_sub(1), (x + 1).min(size.width - 1));
-    let row = |y: usize| {
-        let row = plane.row(y);
-        [row[left], row[x], row[right]]
-    };
-    [row(y.saturating_sub(1)), row(y), row((y + 1).min(size.height - 1))]
+    let (above, below) = (y.saturating_sub(1), (y + 1).min(size.height - 1));
+    let row = |y: usize| three(plane.row(y), left, x, right);
+    [row(above), row(y), row(below)]
+}
+
+#[inline(always)]
+fn three<T: Copy>(row: &[T], a: usize, b: usize, c: usize) -> [T; 3] {
+    [row[a], row[b], row[c]]
 }
 
 /// `f` of all of them; written out, as this is where strokes spend their time.

@@ -121,50 +121,58 @@ impl Sheet {
     ) {
         let (left, right) = covered(a[0], b[0], reach, columns);
         let (top, bottom) = covered(a[1], b[1], reach, lines);
+        if right <= left {
+            return;
+        }
+        let width = (right - left).next_multiple_of(8);
         let along = [b[0] - a[0], b[1] - a[1]];
         let scale = 1.0 / (along[0] * along[0] + along[1] * along[1]);
         let (zero, one) = (f32x8::splat(simd, 0.0), f32x8::splat(simd, 1.0));
         let lanes = f32x8::from_slice(simd, &[0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0]);
         for line in top..bottom {
             let y = line as f32 - a[1];
-            let row = line * self.stride;
-            let mut end = left;
-            for x in (left..right).step_by(8) {
-                let at = row + x..row + x + 8;
-                let dx = lanes + (x as f32 - a[0]);
+            let at = line * self.stride + left;
+            let mut dx = lanes + (left as f32 - a[0]);
+            for (block, squares) in self.squares[at..at + width].as_chunks_mut::<8>().0.iter_mut().enumerate()
+            {
                 let t = ((dx * along[0] + y * along[1]) * scale).max(zero).min(one);
-                let (dx, dy) = (dx - t * along[0], f32x8::splat(simd, y) - t * along[1]);
-                let square = dx * dx + dy * dy;
-                let kept = f32x8::from_slice(simd, &self.squares[at.clone()]);
-                square.min(kept).store_slice(&mut self.squares[at.clone()]);
+                let (off_x, off_y) = (dx - t * along[0], f32x8::splat(simd, y) - t * along[1]);
+                let square = off_x * off_x + off_y * off_y;
+                let kept = f32x8::from_slice(simd, squares);
+                square.min(kept).store_slice(squares);
                 if QUADS {
                     let nearer = simd.simd_lt_f32x8(square, kept);
-                    for (sheet, value) in
-                        [(&mut self.along, t + k), (&mut self.side, dy * along[0] - dx * along[1])]
-                    {
-                        let sheet = &mut sheet[at.clone()];
+                    let right = off_y * along[0] - off_x * along[1];
+                    for (sheet, value) in [(&mut self.along, t + k), (&mut self.side, right)] {
+                        let sheet = &mut sheet[at + 8 * block..][..8];
                         simd.select_f32x8(nearer, value, f32x8::from_slice(simd, sheet)).store_slice(sheet);
                     }
                 }
-                end = x + 8;
+                dx += 8.0;
             }
             let span = &mut self.spans[line];
-            *span = [span[0].min(left), span[1].max(end)];
+            *span = [span[0].min(left), span[1].max(left + width)];
         }
     }
 
     /// Blends one line of the sheet, which is empty afterwards, into a row of the shade plane.
     #[inline(always)]
     fn blend<S: Simd>(&mut self, simd: S, config: &Config, reach: f32, line: usize, shade: &mut [f32]) {
-        let squares = &mut self.squares[line * self.stride..][..self.stride];
+        let [from, to] = self.spans[line];
+        let width = to.saturating_sub(from).next_multiple_of(8);
+        if width == 0 {
+            return;
+        }
+        let squares = &mut self.squares[line * self.stride + from..][..width];
+        let shade = &mut shade[from..from + width];
         let (zero, one) = (f32x8::splat(simd, 0.0), f32x8::splat(simd, 1.0));
-        let opacity = f32x8::splat(simd, config.opacity as f32);
-        for x in (self.spans[line][0]..self.spans[line][1]).step_by(8) {
-            let distance = f32x8::from_slice(simd, &squares[x..x + 8]).sqrt();
-            let coverage = (f32x8::splat(simd, reach) - distance).max(zero).min(one);
-            let light = f32x8::from_slice(simd, &shade[x..x + 8]) * (one - opacity * coverage);
-            light.store_slice(&mut shade[x..x + 8]);
-            f32x8::splat(simd, f32::INFINITY).store_slice(&mut squares[x..x + 8]);
+        let (opacity, reach) = (f32x8::splat(simd, config.opacity as f32), f32x8::splat(simd, reach));
+        let blocks = squares.as_chunks_mut::<8>().0.iter_mut().zip(shade.as_chunks_mut::<8>().0);
+        for (squares, shade) in blocks {
+            let distance = f32x8::from_slice(simd, squares).sqrt();
+            let coverage = (reach - distance).max(zero).min(one);
+            (f32x8::from_slice(simd, shade) * (one - opacity * coverage)).store_slice(shade);
+            *squares = [f32::INFINITY; 8];
         }
     }
 

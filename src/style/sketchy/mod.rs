@@ -193,8 +193,8 @@ impl Sketchy {
         }
         let field = Field::new(config, &input.frame.color.planes[0], input.layer);
         match config.renderer {
-            Renderer::Sprites => self.sprites.advance(config, field, starts, self.frames),
-            Renderer::Lines | Renderer::Polygons => self.strokes.trace(config, field, starts.ordered()),
+            Renderer::Sprites => self.sprites.advance(config, &field, starts, self.frames),
+            Renderer::Lines | Renderer::Polygons => self.strokes.trace(config, &field, starts.ordered()),
         }
     }
 }

@@ -32,7 +32,7 @@ pub struct Sprites {
 
 impl Sprites {
     /// Goes on to frame number `frame`; frame 0 begins anew. Allocates only when there are more starts than ever.
-    pub fn advance(&mut self, config: &Config, field: Field<'_>, starts: &Starts, frame: u64) {
+    pub fn advance(&mut self, config: &Config, field: &Field<'_>, starts: &Starts, frame: u64) {
         let starts = starts.by_number();
         self.particles.resize(starts.len(), Sprite::default());
         let lifetime = u64::from(config.lifetime.max(1));
