@@ -92,10 +92,28 @@ impl Needs {
         Needs(self.0 | other.0)
     }
 
+    /// Without the other.
+    pub const fn without(self, other: Needs) -> Needs {
+        Needs(self.0 & !other.0)
+    }
+
     /// Whether all of `other` is wanted.
     pub const fn includes(self, other: Needs) -> bool {
         self.0 & other.0 == other.0
     }
+}
+
+/// A point of a model as it is seen, hidden or not.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Particle {
+    /// Where it is in the picture, px; inside it.
+    pub x: f32,
+    /// Where it is in the picture, px; inside it.
+    pub y: f32,
+    /// Camera z, mm.
+    pub z: f32,
+    /// Lit red, green, blue, 0..1.
+    pub color: [f32; 3],
 }
 
 /// The renderer's output: the drawn models over nothing. Outside `touched` tiles every plane holds its
@@ -112,11 +130,13 @@ pub struct Layer {
     pub depth2: Plane<f32>,
     /// Second-nearest normal, 0 where there is none.
     pub normal2: [Plane<f32>; 3],
+    /// The models' points that face the viewer, far to near; its capacity is the most there can be.
+    pub particles: Vec<Particle>,
     /// Nearest and farthest camera z of all drawn models, mm; the first is the larger when nothing is drawn.
     pub extent: [f32; 2],
     /// Unit vector towards the light that shaded the models, camera space.
     pub light: Vec3,
-    /// Tiles with at least one covered pixel.
+    /// Tiles with at least one covered pixel or particle.
     pub touched: TileSet,
     /// How the picture divides into those tiles.
     pub grid: Option<TileGrid>,

@@ -38,7 +38,8 @@ Settings of cartoon (--set): shrunk_width, shrunk_height (0: from the frame), si
 s0, s1, a0, a1. Of bilateral-cartoon: levels, iterations, sigma_d, sigma_r, t1, t2. Of sketch-like: t1, t2.
 Of watercolor: cell, alpha, beta, threshold, min_edge, retile_every, seed, sites (a .npy file, N x 2; the stage
 `sites` of one run may be fed to the next). Of illustrative: alpha, edge_threshold, theta, n, c_cross, gamma,
-paper_red, paper_green, paper_blue. The result is the same for any number of threads and on any processor.")]
+paper_red, paper_green, paper_blue. Of pointillism: col_skip, row_skip, range, radius_min, radius_max, color_offset,
+opacity, num_particles, seed, sprite (a gray picture), grid (a .npy file, N x 6, as the stage `grid`). The result is the same for any number of threads and on any processor.")]
 pub struct Args {
     /// Pictures, folders of pictures, or Y4M clips (- is stdin).
     #[arg(required = true, value_name = "INPUT")]
@@ -58,7 +59,7 @@ pub struct Args {
     /// Also writes the style's intermediate planes there as NAME.npy (f32, rows x columns [x channels]); with
     /// several inputs each gets a folder of its name. cartoon: small S eS eA I; bilateral-cartoon: pyramid
     /// filtered edges; sketch-like: edges; watercolor: labels means response edge sites; illustrative: response
-    /// intensity halftone.
+    /// intensity halftone; pointillism: grid.
     #[arg(long, value_name = "DIR")]
     stages: Option<PathBuf>,
     /// Draws every input this often, from scratch each time, and prints the times: interleaved RGB bytes in
@@ -358,6 +359,10 @@ impl Job {
                     ("intensity", vec![stages.intensity]),
                     ("halftone", vec![stages.halftone]),
                 ]
+            }
+            StyleName::Pointillism => {
+                let style = style::pointillism::Pointillism::new(config.pointillism.clone(), level);
+                vec![("grid", vec![style.grid(self.size)])]
             }
         };
         for (name, planes) in &planes {

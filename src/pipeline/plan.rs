@@ -39,6 +39,8 @@ pub struct Plan {
     pub normal: Step,
     /// The second-nearest surface.
     pub second_layer: Step,
+    /// The models as points.
+    pub particles: Step,
     /// Filter the picture.
     pub style: Step,
 }
@@ -85,6 +87,11 @@ impl Plan {
                 "the style looks through the first surface",
                 "the style draws the nearest surface only",
             ),
+            particles: part(
+                Needs::PARTICLES,
+                "the style draws particles",
+                "the style draws surfaces, not particles",
+            ),
             style: if filters {
                 Step::run("the style filters the whole picture")
             } else {
@@ -101,6 +108,7 @@ impl fmt::Display for Plan {
             ("draw models", self.render),
             ("  normals", self.normal),
             ("  second layer", self.second_layer),
+            ("  particles", self.particles),
             ("filter picture", self.style),
         ];
         for (name, step) in steps {
@@ -121,7 +129,7 @@ mod tests {
     fn scene(models: usize) -> Scene {
         let model = Model {
             name: "cube".into(),
-            mesh: Mesh::default(),
+            mesh: Mesh::default().into(),
             anchor: Anchor { family: Family::Tag36h11, id: None, side_mm: 80.0 },
             to_marker: DAffine3::IDENTITY,
             shading: Shading::Smooth,
@@ -134,19 +142,23 @@ mod tests {
     fn what_runs_for_every_kind_of_frame() {
         let color = Needs::COLOR;
         let both = Needs::COLOR.and(Needs::NORMAL).and(Needs::SECOND_LAYER);
-        // models in scene, needs, view → track, render, normal, second layer
+        let points = Needs::PARTICLES;
+        // models in scene, needs, view → track, render, normal, second layer, particles
         let table = [
-            (0, color, View::Unknown, [false, false, false, false]),
-            (1, Needs::NOTHING, View::Unknown, [false, false, false, false]),
-            (1, color, View::Unknown, [true, true, false, false]),
-            (1, color, View::Models(0), [true, false, false, false]),
-            (2, color, View::Models(1), [true, true, false, false]),
-            (1, both, View::Models(1), [true, true, true, true]),
-            (1, both, View::Models(0), [true, false, false, false]),
+            (0, color, View::Unknown, [false, false, false, false, false]),
+            (1, Needs::NOTHING, View::Unknown, [false, false, false, false, false]),
+            (1, color, View::Unknown, [true, true, false, false, false]),
+            (1, color, View::Models(0), [true, false, false, false, false]),
+            (2, color, View::Models(1), [true, true, false, false, false]),
+            (1, both, View::Models(1), [true, true, true, true, false]),
+            (1, both, View::Models(0), [true, false, false, false, false]),
+            (1, points, View::Models(1), [true, true, false, false, true]),
+            (1, points, View::Models(0), [true, false, false, false, false]),
         ];
         for (models, needs, view, expected) in table {
             let plan = Plan::new(&scene(models), needs, true, view);
-            let got = [plan.track.runs, plan.render.runs, plan.normal.runs, plan.second_layer.runs];
+            let steps = [plan.track, plan.render, plan.normal, plan.second_layer, plan.particles];
+            let got = steps.map(|step| step.runs);
             assert_eq!(got, expected, "{models} models, {needs:?}, {view:?}");
             assert_eq!(
                 plan.needs == Needs::NOTHING,

@@ -8,6 +8,8 @@
 //!    triangle, nearest and second-nearest surface in the same pass.
 //! 5. `resolve`: covered tiles are written into the layer; tiles covered last time only are cleared.
 //!
+//! Apart from these, `particles` turns models into points for styles that ask for them.
+//!
 //! Coverage follows vertices snapped to 1/256 px with the top-left rule; depth and attributes come from the
 //! unsnapped vertices. Equal depths keep the first submitted. The same bytes for every thread count and
 //! SIMD level: chunks and tiles are cut by size alone, and all arithmetic is + - × ÷ sqrt in a fixed order.
@@ -15,6 +17,7 @@
 mod bins;
 mod clip;
 mod field;
+mod particles;
 mod raster;
 mod resolve;
 mod shade;
@@ -28,10 +31,13 @@ use crate::scene::{Scene, Shading};
 use bins::Chunk;
 use field::Field;
 use glam::DAffine3;
+use particles::Particles;
 use raster::Slot;
 use rayon::prelude::*;
 use shade::Surface;
 use vertex::Vertex;
+
+pub use particles::Scatter;
 
 /// The camera as the renderer sees it.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -51,6 +57,8 @@ pub struct Look {
     pub needs: Needs,
     /// Shading in place of each model's own.
     pub shading: Option<Shading>,
+    /// How models become particles.
+    pub scatter: Scatter,
 }
 
 impl From<Needs> for Look {
@@ -90,6 +98,7 @@ pub struct Renderer {
     chunks: Vec<Chunk>,
     slots: Vec<Slot>,
     slot_of: Vec<u32>,
+    particles: Particles,
 }
 
 /// One placed model of this frame: where its vertices, surfaces and chunks are.
@@ -127,6 +136,7 @@ impl Renderer {
             chunks: Vec::new(),
             slots: Vec::new(),
             slot_of: Vec::new(),
+            particles: Particles::default(),
         }
     }
 
@@ -158,12 +168,16 @@ impl Renderer {
         self.slot_of.clear();
         self.slot_of.resize(grid.count(), u32::MAX);
         let usable = camera.near > 0.0 && camera.far > camera.near && camera.far.is_finite();
+        let drawn = size.area() > 0 && size.width.max(size.height) <= MAX_SIDE;
+        let drawn = drawn && usable && needs != Needs::NOTHING;
         let mut used = 0;
-        if usable && needs != Needs::NOTHING && size.area() > 0 && size.width.max(size.height) <= MAX_SIDE {
+        if drawn {
             if self.field.as_ref().is_none_or(|field| *field.lens() != camera.lens) {
                 self.field = Some(Field::new(camera.lens));
             }
-            used = self.rasterise(scene, placed, camera, grid, &look);
+            if needs.without(Needs::PARTICLES) != Needs::NOTHING {
+                used = self.rasterise(scene, placed, camera, grid, &look);
+            }
         }
         for (k, slot) in self.slots[..used].iter().enumerate() {
             if slot.covered {
@@ -172,6 +186,10 @@ impl Renderer {
             }
         }
         resolve::resolve(self.level, &mut self.layer, grid, &self.slots, &self.slot_of, &self.previous);
+        self.layer.particles.clear();
+        if drawn && needs.includes(Needs::PARTICLES) {
+            self.scatter(scene, placed, camera, grid, look.scatter);
+        }
         &self.layer
     }
 
@@ -183,7 +201,7 @@ impl Renderer {
         let none = Size::new(0, 0);
         let when = |wanted: bool| if wanted { size } else { none };
         let color = when(needs.includes(Needs::COLOR));
-        let depth = when(needs != Needs::NOTHING);
+        let depth = when(needs.without(Needs::PARTICLES) != Needs::NOTHING);
         let normal = when(needs.includes(Needs::NORMAL));
         let second = when(needs.includes(Needs::SECOND_LAYER));
         for plane in &mut self.layer.color.planes {
@@ -209,6 +227,30 @@ impl Renderer {
             slot.fit(needs);
         }
         self.shape = Some((size, needs));
+    }
+
+    /// The models as particles.
+    fn scatter(
+        &mut self,
+        scene: &Scene,
+        placed: &[Placed],
+        camera: &Camera,
+        grid: TileGrid,
+        scatter: Scatter,
+    ) {
+        let Self { layer, field, particles, .. } = self;
+        let Some(field) = field.as_ref() else { return };
+        particles.draw(scene, placed, camera, field, scatter, &mut layer.particles);
+        for particle in &layer.particles {
+            let at = |v: f32, length: usize| ((v + 0.5) as usize).min(length - 1) / TILE;
+            let size = camera.lens.size;
+            let (column, row) = (at(particle.x, size.width), at(particle.y, size.height));
+            layer.touched.insert(row * grid.columns() + column);
+        }
+        let depth = |particle: Option<&crate::frame::Particle>| particle.map(|particle| particle.z);
+        if let (Some(far), Some(near)) = (depth(layer.particles.first()), depth(layer.particles.last())) {
+            layer.extent = [layer.extent[0].min(near), layer.extent[1].max(far)];
+        }
     }
 
     /// Steps 1 to 4; returns how many slots hold tiles.

@@ -1,6 +1,6 @@
 //! Settings of all styles: what the scene file's `[style]` table and `--set key=value` reach.
 
-use super::{bilateral, cartoon, illustrative, watercolor};
+use super::{bilateral, cartoon, illustrative, pointillism, watercolor};
 use serde::{Deserialize, Serialize};
 
 /// The styles by name.
@@ -20,6 +20,8 @@ pub enum StyleName {
     Watercolor,
     /// Black edges and cross-hatching on paper.
     Illustrative,
+    /// Thousands of small brush strokes.
+    Pointillism,
 }
 
 impl StyleName {
@@ -32,6 +34,7 @@ impl StyleName {
             StyleName::SketchLike => "sketch-like",
             StyleName::Watercolor => "watercolor",
             StyleName::Illustrative => "illustrative",
+            StyleName::Pointillism => "pointillism",
         }
     }
 }
@@ -46,8 +49,8 @@ impl std::fmt::Display for StyleName {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Config {
-    /// The style to draw: "plain", "cartoon", "bilateral-cartoon", "sketch-like", "watercolor" or
-    /// "illustrative". Default "cartoon".
+    /// The style to draw: "plain", "cartoon", "bilateral-cartoon", "sketch-like", "watercolor",
+    /// "illustrative" or "pointillism". Default "cartoon".
     pub name: StyleName,
     /// Settings of the cartoon style.
     pub cartoon: cartoon::Config,
@@ -61,6 +64,8 @@ pub struct Config {
     pub watercolor: watercolor::Config,
     /// Settings of the illustrative style.
     pub illustrative: illustrative::Config,
+    /// Settings of the pointillism style.
+    pub pointillism: pointillism::Config,
 }
 
 /// Why a style setting is refused.
@@ -119,7 +124,8 @@ impl Config {
         self.bilateral_cartoon.validate()?;
         self.sketch_like.validate()?;
         self.watercolor.validate()?;
-        self.illustrative.validate()
+        self.illustrative.validate()?;
+        self.pointillism.validate()
     }
 
     /// Sets one setting of the named style from text, as `--set key=value` does.
@@ -145,6 +151,10 @@ impl Config {
             StyleName::Illustrative => {
                 self.illustrative = edited(self.name, &self.illustrative, key, value)?;
                 self.illustrative.validate()
+            }
+            StyleName::Pointillism => {
+                self.pointillism = edited(self.name, &self.pointillism, key, value)?;
+                self.pointillism.validate()
             }
         }
     }

@@ -10,6 +10,7 @@ pub mod composite;
 mod config;
 pub mod illustrative;
 pub mod plain;
+pub mod pointillism;
 pub mod watercolor;
 
 pub use config::{Config, ConfigError, StyleName};
@@ -49,6 +50,7 @@ pub fn reference(config: &Config, augmented: &Rgb) -> Rgb {
         StyleName::SketchLike => bilateral::sketch_reference(&config.sketch_like, augmented),
         StyleName::Watercolor => watercolor::reference(&config.watercolor, augmented),
         StyleName::Illustrative => illustrative::reference(&config.illustrative, augmented),
+        StyleName::Pointillism => pointillism::reference(&config.pointillism, augmented),
     }
 }
 
@@ -66,6 +68,8 @@ pub enum Styler {
     Watercolor(Box<watercolor::Watercolor>),
     /// Edges and hatching on paper.
     Illustrative(Box<illustrative::Illustrative>),
+    /// Small brush strokes.
+    Pointillism(Box<pointillism::Pointillism>),
 }
 
 impl Styler {
@@ -89,6 +93,10 @@ impl Styler {
             StyleName::Illustrative => {
                 Styler::Illustrative(Box::new(illustrative::Illustrative::new(config.illustrative, level)))
             }
+            StyleName::Pointillism => {
+                let config = config.pointillism.clone();
+                Styler::Pointillism(Box::new(pointillism::Pointillism::new(config, level)))
+            }
         }
     }
 
@@ -101,6 +109,7 @@ impl Styler {
             Styler::SketchLike(_) => StyleName::SketchLike,
             Styler::Watercolor(_) => StyleName::Watercolor,
             Styler::Illustrative(_) => StyleName::Illustrative,
+            Styler::Pointillism(_) => StyleName::Pointillism,
         }
     }
 
@@ -113,6 +122,7 @@ impl Styler {
             Styler::SketchLike(style) => style.look(),
             Styler::Watercolor(style) => style.look(),
             Styler::Illustrative(style) => style.look(),
+            Styler::Pointillism(style) => style.look(),
         }
     }
 
@@ -137,6 +147,7 @@ impl Styler {
             Styler::SketchLike(style) => style.draw(input, out),
             Styler::Watercolor(style) => style.draw(input, out),
             Styler::Illustrative(style) => style.draw(input, out),
+            Styler::Pointillism(style) => style.draw(input, out),
         }
     }
 }
