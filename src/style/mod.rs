@@ -40,7 +40,8 @@ pub trait Style {
     fn draw(&mut self, input: StyleInput<'_>, out: &mut Rgb);
 }
 
-/// The style that `config` names in plain f64, over an augmented picture: slow, for tests and benchmarks.
+/// The style that `config` names in plain f64, over a picture with no model in view (for cartoon and watercolor,
+/// which filter camera picture and models alike, an augmented one): slow, for tests and benchmarks.
 pub fn reference(config: &Config, augmented: &Rgb) -> Rgb {
     match config.name {
         StyleName::Plain => augmented.clone(),
