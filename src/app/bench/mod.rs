@@ -1,5 +1,7 @@
 //! `vernissage bench`: time and error of every stage, side by side, with the machine's facts.
 
+mod coherence;
+
 use super::report::machine;
 use super::{demo, pool, progress, say};
 use crate::camera::Synthetic;
@@ -36,6 +38,9 @@ pub struct Args {
     /// The rasteriser only
     #[arg(long)]
     raster: bool,
+    /// How calm the styles are on a noisy, still scene, and whether `[retouch.steady]` helps
+    #[arg(long)]
+    coherence: bool,
     /// Thread counts to measure
     #[arg(long, value_delimiter = ',', default_value = "1,2", value_name = "N,N")]
     threads: Vec<usize>,
@@ -78,7 +83,7 @@ impl Times {
 }
 
 pub fn run(args: Args) -> anyhow::Result<()> {
-    let all = !(args.styles || args.tracking || args.raster);
+    let all = !(args.styles || args.tracking || args.raster || args.coherence);
     let parts: [(bool, Part); 5] = [
         (all, Bench::convert),
         (all || args.tracking, Bench::tracking),
@@ -86,16 +91,16 @@ pub fn run(args: Args) -> anyhow::Result<()> {
         (all || args.styles, Bench::styles),
         (all, Bench::whole),
     ];
+    let wanted = parts.iter().filter(|(wanted, _)| *wanted).count() * args.threads.len();
     if args.json {
         say(serde_json::json!({ "machine": machine(), "frames": args.frames, "repeat": args.repeat }))?;
-    } else {
+    } else if wanted > 0 {
         say(format_args!("{}, 640x480, {} frames x {} runs\n", machine(), args.frames, args.repeat))?;
         say(format_args!(
             "{:<8} {:<28} {:>7} {:>9} {:>9} {:>9}  error",
             "stage", "variant", "threads", "min ms", "median", "p99"
         ))?;
     }
-    let wanted = parts.iter().filter(|(wanted, _)| *wanted).count() * args.threads.len();
     let bar = progress::bar(Some(wanted as u64), "parts");
     for &threads in &args.threads {
         pool(threads)?.install(|| -> anyhow::Result<()> {
@@ -110,6 +115,36 @@ pub fn run(args: Args) -> anyhow::Result<()> {
         })?;
     }
     bar.finish_and_clear();
+    if args.coherence { coherence(&args) } else { Ok(()) }
+}
+
+/// The table of `--coherence`, on the most threads asked for.
+fn coherence(args: &Args) -> anyhow::Result<()> {
+    let pool = pool(args.threads.iter().copied().max().unwrap_or(2))?;
+    if !args.json {
+        say(
+            "pixels that jump > 40 levels a frame, still scene, noise of 3 levels; PSNR to the clean style, pan of 2 px a frame\n",
+        )?;
+        say("style              jumps %  steadied    ratio   PSNR dB  steadied     loss")?;
+    }
+    for &name in StyleName::value_variants() {
+        let size = Size::new(640, 480);
+        let found = pool.install(|| coherence::measure(name, size, args.frames as usize, simd::best()));
+        let ([jumps, steadied], [psnr, steadied_psnr]) = (found.jumps, found.psnr);
+        if args.json {
+            say(serde_json::json!({
+                "coherence": found.style.name(), "jumps": jumps, "jumps_steady": steadied, "ratio": found.ratio(),
+                "psnr_db": psnr, "psnr_steady_db": steadied_psnr, "loss_db": found.loss(),
+            }))?;
+        } else {
+            let (jumps, steadied) = (100.0 * jumps, 100.0 * steadied);
+            let (ratio, loss) = (found.ratio(), found.loss());
+            say(format_args!(
+                "{:<17} {jumps:>8.4} {steadied:>9.4} {ratio:>8.1} {psnr:>9.2} {steadied_psnr:>9.2} {loss:>8.2}",
+                found.style.name()
+            ))?;
+        }
+    }
     Ok(())
 }
 
