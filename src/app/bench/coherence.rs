@@ -4,12 +4,14 @@
 //! from one drawn frame to the next. Pan: the same table passing by at 2 px a frame; measured is how far the noisy
 //! picture's style is from the clean picture's. Both with the camera's picture as it comes and steadied.
 
+use super::{Args, pool, say};
 use crate::camera::{Synthetic, SyntheticConfig};
 use crate::frame::Frame;
-use crate::pixels::simd::Level;
+use crate::pixels::simd::{self, Level};
 use crate::pixels::{Plane, Rgb, Size, hash_noise};
 use crate::retouch::steady::{self, Steady};
 use crate::style::{Config, StyleInput, StyleName, Styler};
+use clap::ValueEnum;
 use rayon::prelude::*;
 
 /// Standard deviation of the noise, levels.
@@ -42,6 +44,35 @@ impl Coherence {
     pub fn loss(&self) -> f64 {
         self.psnr[0] - self.psnr[1]
     }
+}
+
+/// Prints every style's figures at 640x480, on the most threads asked for.
+pub(super) fn run(args: &Args) -> anyhow::Result<()> {
+    let pool = pool(args.threads.iter().copied().max().unwrap_or(2))?;
+    if !args.json {
+        say(
+            "still scene, noise of 3 levels: pixels that jump > 40 levels a frame; pan of 2 px a frame: PSNR to the clean style\n",
+        )?;
+        say("style              jumps %  steadied    ratio   PSNR dB  steadied     loss")?;
+    }
+    for &name in StyleName::value_variants() {
+        let size = Size::new(640, 480);
+        let found = pool.install(|| measure(name, size, args.frames as usize, simd::best()));
+        let Coherence { style, jumps: [jumps, steadied], psnr: [psnr, psnr_steady] } = found;
+        if args.json {
+            say(serde_json::json!({
+                "coherence": style.name(), "jumps": jumps, "jumps_steady": steadied, "ratio": found.ratio(),
+                "psnr_db": psnr, "psnr_steady_db": psnr_steady, "loss_db": found.loss(),
+            }))?;
+        } else {
+            let (name, ratio, loss) = (style.name(), found.ratio(), found.loss());
+            let (jumps, steadied) = (100.0 * jumps, 100.0 * steadied);
+            say(format_args!(
+                "{name:<17} {jumps:>8.4} {steadied:>9.4} {ratio:>8.1} {psnr:>9.2} {psnr_steady:>9.2} {loss:>8.2}"
+            ))?;
+        }
+    }
+    Ok(())
 }
 
 /// Measures one style with its default settings over `frames` frames of `size`.
@@ -158,8 +189,6 @@ fn square(a: &Rgb, b: &Rgb) -> u64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::pixels::simd;
-    use clap::ValueEnum;
 
     #[test]
     fn steadied_styles_jump_a_quarter_as_often_and_lose_nothing() {

@@ -1,6 +1,10 @@
 //! `vernissage bench`: time and error of every stage, side by side, with the machine's facts.
 
 mod coherence;
+mod plot;
+mod quality;
+mod steps;
+mod styles;
 
 use super::report::machine;
 use super::{demo, pool, progress, say};
@@ -18,6 +22,8 @@ use crate::style::{self, StyleInput, StyleName, Styler};
 use crate::track::{Tracker, Wanted};
 use clap::ValueEnum;
 use glam::{DAffine3, DVec2, DVec3};
+use quality::Quality;
+use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 /// Prints how long each stage takes and how far it is from its f64 reference or the exact truth.
@@ -29,8 +35,8 @@ use std::time::{Duration, Instant};
     after_help = "Examples:\n  vernissage bench\n  vernissage bench --styles --threads 1 --repeat 100 --json"
 )]
 pub struct Args {
-    /// The styles only
-    #[arg(long)]
+    /// The styles only, in every variant: settings, SIMD levels, single steps; leaves a plot
+    #[arg(long, conflicts_with_all = ["tracking", "raster"])]
     styles: bool,
     /// The tracker only
     #[arg(long)]
@@ -50,6 +56,9 @@ pub struct Args {
     /// Runs of every frame
     #[arg(long, default_value_t = 20, value_name = "K", value_parser = clap::value_parser!(u64).range(1..=100_000))]
     repeat: u64,
+    /// Where --styles leaves its plot of time against error
+    #[arg(long, default_value = "styles.svg", value_name = "FILE")]
+    plot: PathBuf,
     /// One JSON object a line
     #[arg(long)]
     json: bool,
@@ -83,24 +92,30 @@ impl Times {
 }
 
 pub fn run(args: Args) -> anyhow::Result<()> {
-    let all = !(args.styles || args.tracking || args.raster || args.coherence);
+    if args.coherence {
+        return coherence::run(&args);
+    }
+    if args.styles {
+        return styles::run(&args);
+    }
+    let all = !(args.tracking || args.raster);
     let parts: [(bool, Part); 5] = [
         (all, Bench::convert),
         (all || args.tracking, Bench::tracking),
         (all || args.raster, Bench::raster),
-        (all || args.styles, Bench::styles),
+        (all, Bench::styles),
         (all, Bench::whole),
     ];
-    let wanted = parts.iter().filter(|(wanted, _)| *wanted).count() * args.threads.len();
     if args.json {
         say(serde_json::json!({ "machine": machine(), "frames": args.frames, "repeat": args.repeat }))?;
-    } else if wanted > 0 {
+    } else {
         say(format_args!("{}, 640x480, {} frames x {} runs\n", machine(), args.frames, args.repeat))?;
         say(format_args!(
             "{:<8} {:<28} {:>7} {:>9} {:>9} {:>9}  error",
             "stage", "variant", "threads", "min ms", "median", "p99"
         ))?;
     }
+    let wanted = parts.iter().filter(|(wanted, _)| *wanted).count() * args.threads.len();
     let bar = progress::bar(Some(wanted as u64), "parts");
     for &threads in &args.threads {
         pool(threads)?.install(|| -> anyhow::Result<()> {
@@ -115,36 +130,6 @@ pub fn run(args: Args) -> anyhow::Result<()> {
         })?;
     }
     bar.finish_and_clear();
-    if args.coherence { coherence(&args) } else { Ok(()) }
-}
-
-/// The table of `--coherence`, on the most threads asked for.
-fn coherence(args: &Args) -> anyhow::Result<()> {
-    let pool = pool(args.threads.iter().copied().max().unwrap_or(2))?;
-    if !args.json {
-        say(
-            "pixels that jump > 40 levels a frame, still scene, noise of 3 levels; PSNR to the clean style, pan of 2 px a frame\n",
-        )?;
-        say("style              jumps %  steadied    ratio   PSNR dB  steadied     loss")?;
-    }
-    for &name in StyleName::value_variants() {
-        let size = Size::new(640, 480);
-        let found = pool.install(|| coherence::measure(name, size, args.frames as usize, simd::best()));
-        let ([jumps, steadied], [psnr, steadied_psnr]) = (found.jumps, found.psnr);
-        if args.json {
-            say(serde_json::json!({
-                "coherence": found.style.name(), "jumps": jumps, "jumps_steady": steadied, "ratio": found.ratio(),
-                "psnr_db": psnr, "psnr_steady_db": steadied_psnr, "loss_db": found.loss(),
-            }))?;
-        } else {
-            let (jumps, steadied) = (100.0 * jumps, 100.0 * steadied);
-            let (ratio, loss) = (found.ratio(), found.loss());
-            say(format_args!(
-                "{:<17} {jumps:>8.4} {steadied:>9.4} {ratio:>8.1} {psnr:>9.2} {steadied_psnr:>9.2} {loss:>8.2}",
-                found.style.name()
-            ))?;
-        }
-    }
     Ok(())
 }
 
@@ -221,7 +206,7 @@ impl Bench {
         let (samples, coding) = (Samples::Yuyv(bytes.view()), Coding::default());
         let (mut luma, mut color) = (Plane::default(), Rgb::default());
         let times = self.time(|_| yuv::to_rgb(simd::best(), &samples, size, coding, &mut luma, &mut color));
-        let error = compare(&color, &yuv::reference::to_rgb(&samples, size, coding).1);
+        let error = Quality::of(&color, &yuv::reference::to_rgb(&samples, size, coding).1).to_string();
         vec![self.row("camera", "yuyv to frame", times, error)]
     }
 
@@ -290,7 +275,7 @@ impl Bench {
             let frame = &self.frames[0];
             styler.restart();
             styler.draw(StyleInput { frame, layer: None }, &mut canvas);
-            let error = compare(&canvas, &style::reference(&config, &frame.color));
+            let error = Quality::of(&canvas, &style::reference(&config, &frame.color)).to_string();
             rows.push(self.row("style", name.to_string(), times, error));
         }
         rows
@@ -369,23 +354,4 @@ fn hit(ray: DVec3, [a, b, c]: &[DVec3; 3]) -> Option<f64> {
     let v = ray.dot(q) / det;
     let z = e2.dot(q) / det;
     (det != 0.0 && u >= 0.0 && v >= 0.0 && u + v <= 1.0 && z > 0.0).then_some(z)
-}
-
-/// PSNR, largest difference and share of pixels off by more than two levels.
-fn compare(a: &Rgb, b: &Rgb) -> String {
-    let (mut sum, mut worst, mut off, mut count) = (0.0f64, 0u8, 0u64, 0u64);
-    for (a, b) in a.planes.iter().zip(&b.planes) {
-        for (a, b) in a.rows().zip(b.rows()) {
-            for (a, b) in a.iter().zip(b) {
-                let miss = a.abs_diff(*b);
-                sum += f64::from(miss) * f64::from(miss);
-                worst = worst.max(miss);
-                off += u64::from(miss > 2);
-                count += 1;
-            }
-        }
-    }
-    let mean = sum / count.max(1) as f64;
-    let psnr = if mean == 0.0 { f64::INFINITY } else { 10.0 * libm::log10(255.0 * 255.0 / mean) };
-    format!("PSNR {psnr:.1} dB, max {worst}, over 2 levels {:.4} %", 100.0 * off as f64 / count.max(1) as f64)
 }
