@@ -82,15 +82,19 @@ fn three_hundred_frames_allocate_nothing_in_any_style() {
 }
 
 #[test]
-fn switching_styles_allocates_between_frames_only() {
+fn with_every_option_on_switching_allocates_between_frames_only() {
     let size = Size::new(320, 240);
     let settings = SyntheticConfig { samples: 1, ..SyntheticConfig::default() };
     let pool = rayon::ThreadPoolBuilder::new().num_threads(2).build().expect("a pool");
     let cycle = StyleName::value_variants().to_vec();
-    let config = style::Config { cycle: cycle.clone(), fade_ms: 100, ..style::Config::default() };
+    let part = toml::from_str("of = \"object\"").expect("a valid table");
+    let config =
+        style::Config { cycle: cycle.clone(), fade_ms: 100, part: Some(part), ..style::Config::default() };
+    let retouch = toml::from_str("steady = {}\nhide = {}\nlight = {}\nshadow = {}").expect("a valid table");
     pool.install(|| {
         let mut camera = Synthetic::new(&settings, size, 30.0, simd::best());
-        let mut pipeline = Pipeline::new(teapot(), camera.lens(), Default::default(), &config, simd::best());
+        let mut pipeline = Pipeline::new(teapot(), camera.lens(), Default::default(), &config, simd::best())
+            .retouched(&retouch);
         let mut frame = Frame::default();
         let (mut inside, mut faded) = (0, 0);
         for number in 0..12 * (cycle.len() + 3) {
