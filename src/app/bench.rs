@@ -1,5 +1,6 @@
 //! `vernissage bench`: time and error of every stage, side by side, with the machine's facts.
 
+mod coherence;
 mod plot;
 mod quality;
 mod steps;
@@ -43,6 +44,9 @@ pub struct Args {
     /// The rasteriser only
     #[arg(long)]
     raster: bool,
+    /// How calm the styles are on a noisy, still scene, and whether `[retouch.steady]` helps
+    #[arg(long)]
+    coherence: bool,
     /// Thread counts to measure
     #[arg(long, value_delimiter = ',', default_value = "1,2", value_name = "N,N")]
     threads: Vec<usize>,
@@ -88,6 +92,9 @@ impl Times {
 }
 
 pub fn run(args: Args) -> anyhow::Result<()> {
+    if args.coherence {
+        return coherence::run(&args);
+    }
     if args.styles {
         return styles::run(&args);
     }
