@@ -324,6 +324,7 @@ fn scene(meshes: Vec<Mesh>) -> Scene {
         to_marker: DAffine3::IDENTITY,
         shading: Shading::Smooth,
         cull_back: false,
+        secondary: false,
     };
     let light = Light { ambient: 0.2, ..Light::default() };
     Scene { models: meshes.into_iter().map(model).collect(), light }

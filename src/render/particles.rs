@@ -44,7 +44,7 @@ struct Cloud {
 /// The clouds of a scene's models, and room to sort what is seen of them.
 #[derive(Default)]
 pub(super) struct Particles {
-    /// By model; made when a model first comes into view.
+    /// By model.
     clouds: Vec<Option<Cloud>>,
     seen: Vec<Particle>,
     keys: Vec<u64>,
@@ -55,7 +55,7 @@ const RUN: usize = 1024;
 
 impl Particles {
     /// Fills `out` with the placed models' visible points, far to near; of equal depths the first placed comes first.
-    /// Once a model has been seen it allocates only when more models are placed than ever before.
+    /// Allocates only when the scene is new or a model is placed more often than ever before.
     pub fn draw(
         &mut self,
         scene: &Scene,
@@ -67,19 +67,20 @@ impl Particles {
     ) {
         let Self { clouds, seen, keys } = self;
         out.clear();
-        clouds.resize_with(clouds.len().max(scene.models.len()), || None);
-        let mut total = 0;
-        for placed in placed {
-            let Some(model) = scene.models.get(placed.model) else { continue };
-            let cloud = &mut clouds[placed.model];
+        clouds.resize_with(scene.models.len(), || None);
+        for (cloud, model) in clouds.iter_mut().zip(&scene.models) {
             let kept = |cloud: &Cloud| Arc::ptr_eq(&cloud.mesh, &model.mesh) && cloud.scatter == scatter;
             if !cloud.as_ref().is_some_and(kept) {
                 let points = scattered(&model.mesh, scatter);
                 *cloud = Some(Cloud { mesh: model.mesh.clone(), scatter, points });
             }
-            total += cloud.as_ref().map_or(0, |cloud| cloud.points.len());
         }
+        let count = |cloud: &Option<Cloud>| cloud.as_ref().map_or(0, |cloud| cloud.points.len());
+        let of_placed = |placed: &Placed| clouds.get(placed.model).map_or(0, count);
+        let total: usize = placed.iter().map(of_placed).sum();
+        let most = total.max(clouds.iter().map(count).sum());
         seen.clear();
+        seen.reserve(most);
         seen.resize(total, Particle::default());
         let mut first = 0;
         for placed in placed {
@@ -94,8 +95,8 @@ impl Particles {
             first += cloud.points.len();
         }
         keys.clear();
-        keys.reserve(total);
-        out.reserve(total);
+        keys.reserve(most);
+        out.reserve(most);
         for (index, particle) in seen.iter().enumerate().filter(|(_, particle)| particle.z > 0.0) {
             // positive floats are ordered as their bits
             keys.push(u64::from(!particle.z.to_bits()) << 32 | index as u64);
@@ -113,13 +114,15 @@ struct View<'a> {
     normals: glam::DMat3,
     towards_light: DVec3,
     ambient: f64,
+    tint: DVec3,
 }
 
 impl<'a> View<'a> {
     fn new(placed: &'a Placed, camera: &'a Camera, field: &'a Field, light: &Light) -> Self {
         let ambient = if light.ambient >= 0.0 { f64::from(light.ambient.min(1.0)) } else { 0.0 };
         let normals = normal_matrix(&placed.to_camera);
-        Self { placed, camera, field, normals, towards_light: light.direction.as_dvec3(), ambient }
+        let (towards_light, tint) = (light.direction.as_dvec3(), light.tint.as_dvec3());
+        Self { placed, camera, field, normals, towards_light, ambient, tint }
     }
 
     /// The point as it is seen; `None` where it faces away, or is not in the picture.
@@ -140,7 +143,8 @@ impl<'a> View<'a> {
         }
         let intensity = unit(normal).dot(self.towards_light).max(0.0);
         let light = self.ambient + (1.0 - self.ambient) * intensity;
-        let color = point.color.to_array().map(|v| (f64::from(v) * light) as f32);
+        let color = (point.color.as_dvec3() * self.tint).min(DVec3::ONE) * light;
+        let color = color.as_vec3().to_array();
         Some(Particle { x: px.x as f32, y: px.y as f32, z: at.z as f32, color })
     }
 }

@@ -11,6 +11,7 @@ mod config;
 pub mod illustrative;
 pub mod plain;
 pub mod pointillism;
+pub mod sketchy;
 pub mod watercolor;
 
 pub use config::{Config, ConfigError, StyleName};
@@ -41,7 +42,8 @@ pub trait Style {
     fn draw(&mut self, input: StyleInput<'_>, out: &mut Rgb);
 }
 
-/// The style that `config` names in plain f64, over an augmented picture: slow, for tests and benchmarks.
+/// The style that `config` names in plain f64, over a picture with no model in view (for cartoon and watercolor,
+/// which filter camera picture and models alike, an augmented one): slow, for tests and benchmarks.
 pub fn reference(config: &Config, augmented: &Rgb) -> Rgb {
     match config.name {
         StyleName::Plain => augmented.clone(),
@@ -51,6 +53,7 @@ pub fn reference(config: &Config, augmented: &Rgb) -> Rgb {
         StyleName::Watercolor => watercolor::reference(&config.watercolor, augmented),
         StyleName::Illustrative => illustrative::reference(&config.illustrative, augmented),
         StyleName::Pointillism => pointillism::reference(&config.pointillism, augmented),
+        StyleName::Sketchy => sketchy::reference(&config.sketchy, augmented),
     }
 }
 
@@ -70,6 +73,8 @@ pub enum Styler {
     Illustrative(Box<illustrative::Illustrative>),
     /// Small brush strokes.
     Pointillism(Box<pointillism::Pointillism>),
+    /// A blurred picture on paper under pencil strokes.
+    Sketchy(Box<sketchy::Sketchy>),
 }
 
 impl Styler {
@@ -97,6 +102,9 @@ impl Styler {
                 let config = config.pointillism.clone();
                 Styler::Pointillism(Box::new(pointillism::Pointillism::new(config, level)))
             }
+            StyleName::Sketchy => {
+                Styler::Sketchy(Box::new(sketchy::Sketchy::new(config.sketchy.clone(), level)))
+            }
         }
     }
 
@@ -110,6 +118,7 @@ impl Styler {
             Styler::Watercolor(_) => StyleName::Watercolor,
             Styler::Illustrative(_) => StyleName::Illustrative,
             Styler::Pointillism(_) => StyleName::Pointillism,
+            Styler::Sketchy(_) => StyleName::Sketchy,
         }
     }
 
@@ -123,6 +132,7 @@ impl Styler {
             Styler::Watercolor(style) => style.look(),
             Styler::Illustrative(style) => style.look(),
             Styler::Pointillism(style) => style.look(),
+            Styler::Sketchy(style) => style.look(),
         }
     }
 
@@ -133,8 +143,10 @@ impl Styler {
 
     /// Forgets what earlier frames left behind: the next frame is drawn as a first one.
     pub fn restart(&mut self) {
-        if let Styler::Watercolor(style) = self {
-            style.restart();
+        match self {
+            Styler::Watercolor(style) => style.restart(),
+            Styler::Sketchy(style) => style.restart(),
+            _ => {}
         }
     }
 
@@ -148,6 +160,7 @@ impl Styler {
             Styler::Watercolor(style) => style.draw(input, out),
             Styler::Illustrative(style) => style.draw(input, out),
             Styler::Pointillism(style) => style.draw(input, out),
+            Styler::Sketchy(style) => style.draw(input, out),
         }
     }
 }

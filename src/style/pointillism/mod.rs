@@ -176,7 +176,7 @@ impl Pointillism {
         self.strokes.sort(size, &self.stamps, &strokes, 0);
     }
 
-    /// Turns the models' particles into strokes.
+    /// Turns the models' particles, of which there are at `most` so many, into strokes.
     fn snap(&mut self, particles: &[Particle], most: usize) {
         let size = self.size;
         let map = self.map.get_or_insert_with(|| {
@@ -214,15 +214,14 @@ impl Style for Pointillism {
             return;
         }
         self.fit(size);
-        let particles = input.layer.map(|layer| &layer.particles).filter(|particles| !particles.is_empty());
-        if let Some(particles) = particles {
-            self.snap(particles, particles.capacity());
+        if let Some(layer) = input.layer {
+            self.snap(&layer.particles, layer.particles.capacity());
         }
         let painting = Painting {
             picture,
             stamps: &self.stamps,
             sampled: &self.strokes,
-            colored: particles.map(|_| &self.models),
+            colored: input.layer.map(|_| &self.models),
         };
         self.easel.paint(self.level, painting, out);
     }
