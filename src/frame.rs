@@ -94,6 +94,11 @@ impl Needs {
         Needs(self.0 | other.0)
     }
 
+    /// What both want.
+    pub const fn within(self, other: Needs) -> Needs {
+        Needs(self.0 & other.0)
+    }
+
     /// Without the other.
     pub const fn without(self, other: Needs) -> Needs {
         Needs(self.0 & !other.0)

@@ -57,7 +57,8 @@ pub struct Args {
     out: Option<PathBuf>,
     /// Also writes the style's intermediate planes there as NAME.npy (f32, rows x columns [x channels]); with
     /// several inputs each gets a folder of its name. cartoon: small S eS eA I; bilateral-cartoon: pyramid
-    /// filtered edges; sketch-like: edges; watercolor: labels means response edge sites; illustrative: response
+    /// filtered edges; sketch-like: edges; watercolor: labels means response edge sites
+    /// (and cells.svg: its cells as colored polygons); illustrative: response
     /// intensity halftone.
     #[arg(long, value_name = "DIR")]
     stages: Option<PathBuf>,
@@ -342,6 +343,11 @@ impl Job {
             StyleName::Watercolor => {
                 let config = config.watercolor.clone();
                 let stages = style::watercolor::Watercolor::new(config, level).stages(input, out);
+                let file = folder.join("cells.svg");
+                let drawing = style::watercolor::cells::svg(&stages.cells, &stages.means, self.size);
+                std::fs::write(&file, drawing)
+                    .with_context(|| format!("{}: cannot write the cells", file.display()))
+                    .context(Failed("cannot write the stages"))?;
                 vec![
                     ("labels", vec![stages.labels]),
                     ("means", vec![stages.means]),

@@ -10,6 +10,7 @@ pub mod color;
 pub mod contrast;
 pub mod enlarge;
 pub mod interleave;
+pub mod mix;
 pub mod photometric;
 pub mod pyramid;
 pub mod sobel;

@@ -4,6 +4,7 @@
 //! made anew every frame, and can say what it skipped and why.
 
 use crate::frame::Needs;
+use crate::retouch::{self, part::Of};
 use crate::scene::Scene;
 use std::fmt;
 
@@ -31,6 +32,14 @@ impl Step {
 pub struct Plan {
     /// Search the frame for markers.
     pub track: Step,
+    /// Calm the camera's noise.
+    pub steady: Step,
+    /// Measure the room's light.
+    pub light: Step,
+    /// Paint the markers over.
+    pub hide: Step,
+    /// Let the models throw shadows.
+    pub shadow: Step,
     /// Draw the models.
     pub render: Step,
     /// What the renderer must deliver.
@@ -45,6 +54,51 @@ pub struct Plan {
     pub secondary: Step,
     /// Filter the picture.
     pub style: Step,
+    /// Show the style in part of the picture only.
+    pub part: Step,
+    /// Mix the style with the one it follows.
+    pub fade: Step,
+    /// What it was made from.
+    pub wants: Wants,
+}
+
+/// What style and settings ask of a frame.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Wants {
+    /// What the style wants of the renderer; of both styles during a fade.
+    pub needs: Needs,
+    /// Whether the style changes the picture itself.
+    pub filters: bool,
+    /// Whether one style is fading into another.
+    pub fades: bool,
+    /// What the style is the part of, where it is not the whole picture.
+    pub part: Option<Of>,
+    /// What is done to the camera picture.
+    pub retouch: Retouches,
+}
+
+/// Which retouches the settings ask for.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Retouches {
+    /// Calm the camera's noise.
+    pub steady: bool,
+    /// Paint the markers over.
+    pub hide: bool,
+    /// Measure the room's light.
+    pub light: bool,
+    /// Let the models throw shadows.
+    pub shadow: bool,
+}
+
+impl From<&retouch::Config> for Retouches {
+    fn from(config: &retouch::Config) -> Self {
+        Self {
+            steady: config.steady.is_some(),
+            hide: config.hide.is_some(),
+            light: config.light.is_some(),
+            shadow: config.shadow.is_some(),
+        }
+    }
 }
 
 /// What is known to be in view when a plan is made.
@@ -57,12 +111,14 @@ pub enum View {
 }
 
 impl Plan {
-    /// The plan for a frame of `scene`, drawn by a style that wants `needs` of the renderer and changes the
-    /// picture itself when `filters`, with `view` in sight.
-    pub fn new(scene: &Scene, needs: Needs, filters: bool, view: View) -> Self {
+    /// The plan for a frame of `scene` that is drawn as `wants` says, with `view` in sight.
+    pub fn new(scene: &Scene, wants: Wants, view: View) -> Self {
+        let Wants { needs, filters, fades, part: of, retouch } = wants;
         let apart = scene.models.iter().any(|model| model.secondary);
         let needs = if apart { needs } else { needs.without(Needs::SECONDARY) };
-        let wants_layer = needs != Needs::NOTHING;
+        // beside a styled part stands conventional augmented reality
+        let needs = if of.is_some() { needs.and(Needs::COLOR) } else { needs };
+        let wants_layer = needs != Needs::NOTHING || retouch.hide || of == Some(Of::Marker);
         let track = match (scene.models.is_empty(), wants_layer) {
             (true, _) => Step::skip("the scene has no model on any marker"),
             (false, false) => Step::skip("the style draws no models"),
@@ -74,6 +130,12 @@ impl Plan {
             (true, View::Models(_)) => Step::run("a marker with a model is in view"),
             (true, View::Unknown) => Step::run("where a marker with a model is in view"),
         };
+        let marked = |on: bool, why: &'static str| match (on, track.runs, view) {
+            (false, ..) => Step::skip("the settings do not ask for it"),
+            (true, false, _) => Step::skip(track.why),
+            (true, true, View::Models(0)) => Step::skip("no marker of the scene is in view"),
+            (true, true, _) => Step::run(why),
+        };
         let part =
             |wanted: Needs, why: &'static str, not: &'static str| match (render.runs, needs.includes(wanted))
             {
@@ -83,6 +145,13 @@ impl Plan {
             };
         Plan {
             track,
+            steady: match retouch.steady {
+                true => Step::run("the settings want the camera's noise calmed"),
+                false => Step::skip("the settings do not ask for it"),
+            },
+            light: marked(retouch.light, "models are drawn in the light that the paper shows"),
+            hide: marked(retouch.hide, "the prints are painted over"),
+            shadow: marked(retouch.shadow, "models darken the plane they stand on"),
             render,
             needs: if render.runs { needs } else { Needs::NOTHING },
             normal: part(Needs::NORMAL, "the style reads normals", "the style reads no normals"),
@@ -109,6 +178,19 @@ impl Plan {
             } else {
                 Step::skip("the style shows the camera picture as it is, models over it")
             },
+            part: match (of, render.runs) {
+                (None, _) => Step::skip("the style has the whole picture"),
+                (Some(Of::Object), true) => Step::run("the style is bounded by the models"),
+                (Some(Of::Object), false) => Step::run("no model is drawn to bound the style"),
+                (Some(Of::Marker), _) => Step::run("the style is bounded by the markers"),
+                (Some(Of::Vignette), _) => Step::run("the style is bounded by an ellipse"),
+            },
+            fade: if fades {
+                Step::run("one style gives way to the next: both are drawn")
+            } else {
+                Step::skip("the style stays")
+            },
+            wants,
         }
     }
 }
@@ -117,12 +199,18 @@ impl fmt::Display for Plan {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let steps = [
             ("track markers", self.track),
+            ("steady picture", self.steady),
+            ("measure light", self.light),
+            ("hide markers", self.hide),
+            ("cast shadows", self.shadow),
             ("draw models", self.render),
             ("  normals", self.normal),
             ("  second layer", self.second_layer),
             ("  silhouettes", self.silhouettes),
             ("  secondary", self.secondary),
             ("filter picture", self.style),
+            ("style a part", self.part),
+            ("fade styles", self.fade),
         ];
         for (name, step) in steps {
             let does = if step.runs { "runs" } else { "skipped" };
@@ -176,7 +264,11 @@ mod tests {
             (2, apart, both, View::Models(2), "trns--"),
         ];
         for (models, secondary, needs, view, expected) in table {
-            let plan = Plan::new(&scene(models, secondary), needs, true, view);
+            let plan = Plan::new(
+                &scene(models, secondary),
+                Wants { needs, filters: true, ..Wants::default() },
+                view,
+            );
             let steps =
                 [plan.track, plan.render, plan.normal, plan.second_layer, plan.silhouettes, plan.secondary];
             let got: String =

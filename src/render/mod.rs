@@ -159,6 +159,11 @@ impl Renderer {
         }
     }
 
+    /// What was drawn last.
+    pub fn layer(&self) -> &Layer {
+        &self.layer
+    }
+
     /// Draws the placed models: only the products that `look` needs, only the tiles they touch.
     ///
     /// Depth comes with color even when it is not asked for, since it is the coverage mask. Equal depths

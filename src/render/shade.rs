@@ -45,7 +45,7 @@ impl Surface {
         let share = |v: f32| if v >= 0.0 { v.min(1.0) } else { 0.0 };
         let surface = |color: Vec3, texture| Surface {
             kind,
-            color: color.to_array().map(|v| share(v) * 255.0),
+            color: (color * light.tint).to_array().map(|v| share(v) * 255.0),
             ambient: if kind == Kind::ThreeSteps { 0.0 } else { share(light.ambient) },
             ramp,
             texture,

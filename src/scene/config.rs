@@ -164,7 +164,7 @@ impl LightConfig {
     /// A direction that is zero or not finite shines from the viewer.
     fn to_light(self) -> Light {
         let direction = Vec3::from(self.direction).try_normalize().unwrap_or(Vec3::NEG_Z);
-        Light { direction, ambient: self.ambient.clamp(0.0, 1.0) }
+        Light { direction, ambient: self.ambient.clamp(0.0, 1.0), ..Light::default() }
     }
 }
 

@@ -57,6 +57,13 @@ pub struct Anchor {
     pub side_mm: f64,
 }
 
+impl Anchor {
+    /// Whether it is this marker.
+    pub fn takes(&self, family: Family, id: u32) -> bool {
+        self.family == family && self.id.is_none_or(|own| own == id)
+    }
+}
+
 /// How intensity becomes color (contracts: `draw`).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Shading {
@@ -83,11 +90,13 @@ pub struct Light {
     pub direction: Vec3,
     /// Share of light that reaches every surface, 0..1.
     pub ambient: f32,
+    /// What the models' colors are multiplied by: the light's own color, 1 = white.
+    pub tint: Vec3,
 }
 
 impl Default for Light {
     fn default() -> Self {
         let towards = DVec3::new(-0.4, -0.6, -1.0);
-        Self { direction: (towards / towards.length()).as_vec3(), ambient: 0.0 }
+        Self { direction: (towards / towards.length()).as_vec3(), ambient: 0.0, tint: Vec3::ONE }
     }
 }

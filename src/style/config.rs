@@ -1,6 +1,7 @@
 //! Settings of all styles: what the scene file's `[style]` table and `--set key=value` reach.
 
 use super::{bilateral, cartoon, illustrative, watercolor};
+use crate::retouch::{RangeError, part};
 use serde::{Deserialize, Serialize};
 
 /// The styles by name.
@@ -43,12 +44,19 @@ impl std::fmt::Display for StyleName {
 }
 
 /// Which style is drawn, and each style's settings.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Config {
     /// The style to draw: "plain", "cartoon", "bilateral-cartoon", "sketch-like", "watercolor" or
     /// "illustrative". Default "cartoon".
     pub name: StyleName,
+    /// Time over which one style fades into the next, ms, 0 (at once) to 5000. Default 300.
+    pub fade_ms: u32,
+    /// Styles that a visitor steps through, by name; they are built ahead. Default [] (only the one).
+    pub cycle: Vec<StyleName>,
+    /// Styles only part of the picture, the rest shows the models over the camera picture. Default: none, all of it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub part: Option<part::Config>,
     /// Settings of the cartoon style.
     pub cartoon: cartoon::Config,
     /// Settings of the bilateral cartoon style; the table is named as the style.
@@ -61,6 +69,22 @@ pub struct Config {
     pub watercolor: watercolor::Config,
     /// Settings of the illustrative style.
     pub illustrative: illustrative::Config,
+}
+
+impl Default for Config {
+    fn default() -> Self {
+        Self {
+            name: StyleName::default(),
+            fade_ms: 300,
+            cycle: Vec::new(),
+            part: None,
+            cartoon: Default::default(),
+            bilateral_cartoon: Default::default(),
+            sketch_like: Default::default(),
+            watercolor: Default::default(),
+            illustrative: Default::default(),
+        }
+    }
 }
 
 /// Why a style setting is refused.
@@ -110,11 +134,21 @@ pub enum ConfigError {
         /// The allowed range.
         expected: &'static str,
     },
+    /// A fade lasts too long.
+    #[error("style.fade_ms = {0} is out of range: 0 to 5000 ms")]
+    Fade(u32),
+    /// A setting of the styled part is outside its range.
+    #[error(transparent)]
+    Part(#[from] RangeError),
 }
 
 impl Config {
     /// Checks every setting of every style against its range.
     pub fn validate(&self) -> Result<(), ConfigError> {
+        if self.fade_ms > 5000 {
+            return Err(ConfigError::Fade(self.fade_ms));
+        }
+        self.part.map_or(Ok(()), |part| part.validate())?;
         self.cartoon.validate()?;
         self.bilateral_cartoon.validate()?;
         self.sketch_like.validate()?;
@@ -213,6 +247,8 @@ mod tests {
         config.name = StyleName::Plain;
         assert!(config.set("alpha", "1").expect_err("plain").to_string().contains("no settings"));
         assert!(toml::from_str::<Config>("nme = 'plain'").is_err());
+        let long: Config = toml::from_str("fade_ms = 6000").expect("a number");
+        assert!(long.validate().expect_err("too long").to_string().contains("fade_ms = 6000"));
     }
 
     #[test]
