@@ -104,6 +104,7 @@ pub fn run(args: Args) -> anyhow::Result<()> {
         to_marker: DAffine3::IDENTITY,
         shading,
         cull_back: args.cull == Cull::Back,
+        secondary: false,
     };
     let scene = Scene { models: vec![model], light: Light::default() };
     let placed = [Placed { model: 0, to_camera }];

@@ -38,7 +38,9 @@ Settings of cartoon (--set): shrunk_width, shrunk_height (0: from the frame), si
 s0, s1, a0, a1. Of bilateral-cartoon: levels, iterations, sigma_d, sigma_r, t1, t2. Of sketch-like: t1, t2.
 Of watercolor: cell, alpha, beta, threshold, min_edge, retile_every, seed, sites (a .npy file, N x 2; the stage
 `sites` of one run may be fed to the next). Of illustrative: alpha, edge_threshold, theta, n, c_cross, gamma,
-paper_red, paper_green, paper_blue. The result is the same for any number of threads and on any processor.")]
+paper_red, paper_green, paper_blue. Of sketchy: threshold, depth_threshold, slope_guard, sigma, density, step, points,
+half_width, depth_width, opacity, renderer (lines, polygons, sprites), fade, lifetime, brush (a gray picture), seed,
+lively, starts (a .npy file, N x 2), paper (true, false or a gray picture), color, blur, strokes, border. The result is the same for any number of threads and on any processor.")]
 pub struct Args {
     /// Pictures, folders of pictures, or Y4M clips (- is stdin).
     #[arg(required = true, value_name = "INPUT")]
@@ -57,9 +59,9 @@ pub struct Args {
     out: Option<PathBuf>,
     /// Also writes the style's intermediate planes there as NAME.npy (f32, rows x columns [x channels]); with
     /// several inputs each gets a folder of its name. cartoon: small S eS eA I; bilateral-cartoon: pyramid
-    /// filtered edges; sketch-like: edges; watercolor: labels means response edge sites
-    /// (and cells.svg: its cells as colored polygons); illustrative: response
-    /// intensity halftone.
+    /// filtered edges; sketch-like: edges; watercolor: labels means response edge sites (and cells.svg: its cells as
+    /// colored polygons); illustrative: response intensity halftone; sketchy: blur edge fx fy stroke_len (one a
+    /// stroke) stroke_pts (points x 2).
     #[arg(long, value_name = "DIR")]
     stages: Option<PathBuf>,
     /// Draws every input this often, from scratch each time, and prints the times: interleaved RGB bytes in
@@ -315,6 +317,7 @@ impl Job {
         self.draw();
         let input = StyleInput { frame: &self.frame, layer: None };
         let (config, level, out) = (&self.config, self.level, &mut self.canvas);
+        let mut lists: Vec<(&str, Vec<f32>)> = Vec::new();
         let planes: Vec<(&str, Vec<Plane<f32>>)> = match config.name {
             StyleName::Plain => bail!("style plain has no stages"),
             StyleName::Cartoon => {
@@ -365,31 +368,44 @@ impl Job {
                     ("halftone", vec![stages.halftone]),
                 ]
             }
+            StyleName::Sketchy => {
+                let config = config.sketchy.clone();
+                let stages = style::sketchy::Sketchy::new(config, level).stages(input, out);
+                lists.push(("stroke_len", stages.stroke_len));
+                vec![
+                    ("blur", stages.blur.into()),
+                    ("edge", vec![stages.edge]),
+                    ("fx", vec![stages.fx]),
+                    ("fy", vec![stages.fy]),
+                    ("stroke_pts", vec![stages.stroke_pts]),
+                ]
+            }
         };
-        for (name, planes) in &planes {
+        let write = |name: &str, shape: &[u64], values: &mut dyn Iterator<Item = f32>| {
             let file = folder.join(name).with_added_extension("npy");
-            write_npy(&file, planes)
+            write_npy(&file, shape, values)
                 .with_context(|| format!("{}: cannot write stage", file.display()))
-                .context(Failed("cannot write the stages"))?;
+                .context(Failed("cannot write the stages"))
+        };
+        for (name, list) in &lists {
+            write(name, &[list.len() as u64], &mut list.iter().copied())?;
+        }
+        for (name, planes) in &planes {
+            let size = planes.first().map_or(Size::new(0, 0), Plane::size);
+            let shape = [size.height as u64, size.width as u64, planes.len() as u64];
+            let pixels = (0..size.area()).map(|i| (i % size.width, i / size.width));
+            let mut values = pixels.flat_map(|(x, y)| planes.iter().map(move |plane| plane.at(x, y)));
+            // one plane has no channel axis
+            write(name, if planes.len() > 1 { &shape } else { &shape[..2] }, &mut values)?;
         }
         Ok(())
     }
 }
 
-/// Writes planes of one size as rows x columns, or rows x columns x channels where there are several.
-fn write_npy(path: &Path, planes: &[Plane<f32>]) -> std::io::Result<()> {
+fn write_npy(path: &Path, shape: &[u64], values: &mut dyn Iterator<Item = f32>) -> std::io::Result<()> {
     use npyz::WriterBuilder;
-    let size = planes.first().map_or(Size::new(0, 0), Plane::size);
-    let mut shape = vec![size.height as u64, size.width as u64];
-    if planes.len() > 1 {
-        shape.push(planes.len() as u64);
-    }
     let file = BufWriter::new(std::fs::File::create(path)?);
-    let mut writer = npyz::WriteOptions::new().default_dtype().shape(&shape).writer(file).begin_nd()?;
-    for y in 0..size.height {
-        for x in 0..size.width {
-            writer.extend(planes.iter().map(|plane| plane.at(x, y)))?;
-        }
-    }
+    let mut writer = npyz::WriteOptions::new().default_dtype().shape(shape).writer(file).begin_nd()?;
+    writer.extend(values)?;
     writer.finish()
 }

@@ -9,6 +9,7 @@ pub mod canny;
 pub mod color;
 pub mod contrast;
 pub mod enlarge;
+pub mod gaussian;
 pub mod interleave;
 pub mod mix;
 pub mod photometric;

@@ -12,7 +12,7 @@ pub use latest::{Reader, Writer, latest};
 pub use plan::{Plan, Retouches, Step, View, Wants};
 pub use timings::{Record, Stage, Timings};
 
-use crate::frame::{Frame, Layer, Sighting};
+use crate::frame::{Frame, Layer, Needs, Sighting};
 use crate::geometry::Lens;
 use crate::kernel::mix;
 use crate::pixels::simd::Level;
@@ -125,8 +125,7 @@ impl Pipeline {
         if size.area() == 0 {
             return;
         }
-        let needs = self.stylers.needs().and(self.stylers.look(slot).needs);
-        self.renderer.draw(&self.scene, &[], &self.camera, needs);
+        self.renderer.draw(&self.scene, &[], &self.camera, self.stylers.look(slot));
         let color = Rgb::new(size, [128; 3]);
         let frame = Frame { luma: Plane::new(size, 128), color, ..Frame::default() };
         let layer = empty_layer(size);
@@ -187,7 +186,9 @@ impl Pipeline {
 
         // the style that leaves first: what it drew is mixed into the other's picture
         let slots = [turn.leaving.unwrap_or(turn.front), turn.front];
-        let mut look = Look { needs: plan.needs, ..self.stylers.look(slots[0]) };
+        let beside = if self.part.is_some() { Needs::COLOR } else { Needs::NOTHING };
+        let look_of = |look: Look| Look { needs: look.needs.and(beside).within(plan.needs), ..look };
+        let mut look = look_of(self.stylers.look(slots[0]));
         let (renderer, placed) = (&mut self.renderer, &self.placed);
         if plan.render.runs {
             timings.measure(Stage::Render, || renderer.draw(scene, placed, camera, look));
@@ -201,9 +202,9 @@ impl Pipeline {
         };
         let drawn = if styled == Styled::Nothing { &[] } else { &slots[usize::from(slots[0] == slots[1])..] };
         for &slot in drawn {
-            let shading = self.stylers.look(slot).shading;
-            if plan.render.runs && shading != look.shading {
-                look.shading = shading;
+            let wanted = look_of(self.stylers.look(slot));
+            if plan.render.runs && wanted != look {
+                look = wanted;
                 timings.measure(Stage::Render, || renderer.draw(scene, placed, camera, look));
             }
             let layer = plan.render.runs.then_some(renderer.layer());

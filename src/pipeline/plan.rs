@@ -48,6 +48,10 @@ pub struct Plan {
     pub normal: Step,
     /// The second-nearest surface.
     pub second_layer: Step,
+    /// Thick outlines.
+    pub silhouettes: Step,
+    /// Secondary models apart from the others.
+    pub secondary: Step,
     /// Filter the picture.
     pub style: Step,
     /// Show the style in part of the picture only.
@@ -110,6 +114,8 @@ impl Plan {
     /// The plan for a frame of `scene` that is drawn as `wants` says, with `view` in sight.
     pub fn new(scene: &Scene, wants: Wants, view: View) -> Self {
         let Wants { needs, filters, fades, part: of, retouch } = wants;
+        let apart = scene.models.iter().any(|model| model.secondary);
+        let needs = if apart { needs } else { needs.without(Needs::SECONDARY) };
         // beside a styled part stands conventional augmented reality
         let needs = if of.is_some() { needs.and(Needs::COLOR) } else { needs };
         let wants_layer = needs != Needs::NOTHING || retouch.hide || of == Some(Of::Marker);
@@ -154,6 +160,19 @@ impl Plan {
                 "the style looks through the first surface",
                 "the style draws the nearest surface only",
             ),
+            silhouettes: part(
+                Needs::SILHOUETTE,
+                "the style outlines the models",
+                "the style outlines no models itself",
+            ),
+            secondary: part(
+                Needs::SECONDARY,
+                "the style shows what is inside",
+                match apart {
+                    true => "the style draws secondary models as any other",
+                    false => "the scene has no secondary model",
+                },
+            ),
             style: if filters {
                 Step::run("the style filters the whole picture")
             } else {
@@ -187,6 +206,8 @@ impl fmt::Display for Plan {
             ("draw models", self.render),
             ("  normals", self.normal),
             ("  second layer", self.second_layer),
+            ("  silhouettes", self.silhouettes),
+            ("  secondary", self.secondary),
             ("filter picture", self.style),
             ("style a part", self.part),
             ("fade styles", self.fade),
@@ -206,7 +227,7 @@ mod tests {
     use crate::scene::{Anchor, Mesh, Model, Shading};
     use glam::DAffine3;
 
-    fn scene(models: usize) -> Scene {
+    fn scene(models: usize, secondary: bool) -> Scene {
         let model = Model {
             name: "cube".into(),
             mesh: Mesh::default(),
@@ -214,6 +235,7 @@ mod tests {
             to_marker: DAffine3::IDENTITY,
             shading: Shading::Smooth,
             cull_back: false,
+            secondary,
         };
         Scene { models: vec![model; models], ..Scene::default() }
     }
@@ -222,25 +244,42 @@ mod tests {
     fn what_runs_for_every_kind_of_frame() {
         let color = Needs::COLOR;
         let both = Needs::COLOR.and(Needs::NORMAL).and(Needs::SECOND_LAYER);
-        // models in scene, needs, view → track, render, normal, second layer
+        let lines = Needs::COLOR.and(Needs::SILHOUETTE);
+        let inside = both.and(Needs::SECONDARY);
+        let (apart, same) = (true, false);
+        // models in scene, secondary or not, needs, view → track, render, normal, second layer, silhouettes, secondary
         let table = [
-            (0, color, View::Unknown, [false, false, false, false]),
-            (1, Needs::NOTHING, View::Unknown, [false, false, false, false]),
-            (1, color, View::Unknown, [true, true, false, false]),
-            (1, color, View::Models(0), [true, false, false, false]),
-            (2, color, View::Models(1), [true, true, false, false]),
-            (1, both, View::Models(1), [true, true, true, true]),
-            (1, both, View::Models(0), [true, false, false, false]),
+            (0, same, color, View::Unknown, "------"),
+            (1, same, Needs::NOTHING, View::Unknown, "------"),
+            (1, same, color, View::Unknown, "tr----"),
+            (1, same, color, View::Models(0), "t-----"),
+            (2, same, color, View::Models(1), "tr----"),
+            (1, same, both, View::Models(1), "trns--"),
+            (1, same, both, View::Models(0), "t-----"),
+            (1, same, lines, View::Models(1), "tr--l-"),
+            (1, same, lines, View::Models(0), "t-----"),
+            (2, apart, inside, View::Models(2), "trns-i"),
+            (2, apart, inside, View::Models(0), "t-----"),
+            (2, same, inside, View::Models(2), "trns--"),
+            (2, apart, both, View::Models(2), "trns--"),
         ];
-        for (models, needs, view, expected) in table {
-            let plan = Plan::new(&scene(models), Wants { needs, filters: true, ..Wants::default() }, view);
-            let got = [plan.track.runs, plan.render.runs, plan.normal.runs, plan.second_layer.runs];
+        for (models, secondary, needs, view, expected) in table {
+            let plan = Plan::new(
+                &scene(models, secondary),
+                Wants { needs, filters: true, ..Wants::default() },
+                view,
+            );
+            let steps =
+                [plan.track, plan.render, plan.normal, plan.second_layer, plan.silhouettes, plan.secondary];
+            let got: String =
+                steps.iter().zip("trnsli".chars()).map(|(s, c)| if s.runs { c } else { '-' }).collect();
             assert_eq!(got, expected, "{models} models, {needs:?}, {view:?}");
             assert_eq!(
                 plan.needs == Needs::NOTHING,
                 !plan.render.runs,
                 "nothing is asked of an idle renderer"
             );
+            assert_eq!(plan.needs.includes(Needs::SECONDARY), plan.secondary.runs);
         }
     }
 }

@@ -7,6 +7,7 @@
 //! 4. `raster`: one task a tile walks its lists: exact integer edges, 1/z and attributes of the unsnapped
 //!    triangle, nearest and second-nearest surface in the same pass.
 //! 5. `resolve`: covered tiles are written into the layer; tiles covered last time only are cleared.
+//! 6. `silhouette`: thick outlines are drawn over the depth, where they are asked for.
 //!
 //! Coverage follows vertices snapped to 1/256 px with the top-left rule; depth and attributes come from the
 //! unsnapped vertices. Equal depths keep the first submitted. The same bytes for every thread count and
@@ -18,6 +19,7 @@ mod field;
 mod raster;
 mod resolve;
 mod shade;
+mod silhouette;
 mod vertex;
 
 use crate::frame::{Layer, Needs};
@@ -31,6 +33,7 @@ use glam::DAffine3;
 use raster::Slot;
 use rayon::prelude::*;
 use shade::Surface;
+use silhouette::Silhouette;
 use vertex::Vertex;
 
 /// The camera as the renderer sees it.
@@ -51,6 +54,8 @@ pub struct Look {
     pub needs: Needs,
     /// Shading in place of each model's own.
     pub shading: Option<Shading>,
+    /// Width of silhouette lines, px.
+    pub line_width: f64,
 }
 
 impl From<Needs> for Look {
@@ -67,6 +72,24 @@ pub struct Placed {
     pub model: usize,
     /// Mesh coordinates → camera space, mm.
     pub to_camera: DAffine3,
+}
+
+/// Which of the placed models are drawn.
+#[derive(Clone, Copy)]
+enum Part {
+    Whole,
+    Primary,
+    Secondary,
+}
+
+impl Part {
+    fn holds(self, secondary: bool) -> bool {
+        match self {
+            Part::Whole => true,
+            Part::Primary => !secondary,
+            Part::Secondary => secondary,
+        }
+    }
 }
 
 /// Largest picture side: snapped coordinates of the picture stay far below the guard band.
@@ -90,6 +113,9 @@ pub struct Renderer {
     chunks: Vec<Chunk>,
     slots: Vec<Slot>,
     slot_of: Vec<u32>,
+    silhouette: Silhouette,
+    /// Draws the secondary models where they are apart.
+    secondary: Option<Box<Renderer>>,
 }
 
 /// One placed model of this frame: where its vertices, surfaces and chunks are.
@@ -110,6 +136,7 @@ struct View<'a> {
     instances: &'a [Instance],
     surfaces: &'a [Surface],
     vertices: &'a [Vertex],
+    look: Look,
 }
 
 impl Renderer {
@@ -127,6 +154,8 @@ impl Renderer {
             chunks: Vec::new(),
             slots: Vec::new(),
             slot_of: Vec::new(),
+            silhouette: Silhouette::default(),
+            secondary: None,
         }
     }
 
@@ -151,6 +180,29 @@ impl Renderer {
         look: impl Into<Look>,
     ) -> &Layer {
         let look = look.into();
+        if look.needs.includes(Needs::SECONDARY) {
+            self.draw_part(scene, placed, camera, look, Part::Primary);
+            self.draw_secondary(scene, placed, camera);
+        } else {
+            (self.secondary, self.layer.secondary) = (None, None);
+            self.draw_part(scene, placed, camera, look, Part::Whole);
+        }
+        &self.layer
+    }
+
+    /// Draws the secondary models into a layer of their own.
+    fn draw_secondary(&mut self, scene: &Scene, placed: &[Placed], camera: &Camera) {
+        let level = self.level;
+        let renderer = self.secondary.get_or_insert_with(|| Box::new(Renderer::new(level)));
+        // the other renderer's layer lives in ours between frames
+        let layer = self.layer.secondary.get_or_insert_default();
+        std::mem::swap(&mut **layer, &mut renderer.layer);
+        renderer.draw_part(scene, placed, camera, Needs::NORMAL.into(), Part::Secondary);
+        std::mem::swap(&mut **layer, &mut renderer.layer);
+        self.layer.touched.union(&layer.touched);
+    }
+
+    fn draw_part(&mut self, scene: &Scene, placed: &[Placed], camera: &Camera, look: Look, part: Part) {
         let needs = look.needs;
         let size = camera.lens.size;
         let grid = TileGrid::new(size);
@@ -162,13 +214,14 @@ impl Renderer {
         self.layer.extent = [f32::INFINITY, f32::NEG_INFINITY];
         self.slot_of.clear();
         self.slot_of.resize(grid.count(), u32::MAX);
+        self.silhouette.clear();
         let usable = camera.near > 0.0 && camera.far > camera.near && camera.far.is_finite();
         let mut used = 0;
         if usable && needs != Needs::NOTHING && size.area() > 0 && size.width.max(size.height) <= MAX_SIDE {
             if self.field.as_ref().is_none_or(|field| *field.lens() != camera.lens) {
                 self.field = Some(Field::new(camera.lens));
             }
-            used = self.rasterise(scene, placed, camera, grid, &look);
+            used = self.rasterise(scene, placed, camera, grid, look, part);
         }
         for (k, slot) in self.slots[..used].iter().enumerate() {
             if slot.covered {
@@ -177,7 +230,9 @@ impl Renderer {
             }
         }
         resolve::resolve(self.level, &mut self.layer, grid, &self.slots, &self.slot_of, &self.previous);
-        &self.layer
+        if needs.includes(Needs::SILHOUETTE) {
+            self.silhouette.draw(&mut self.layer, grid, &self.previous, look.line_width, camera.far);
+        }
     }
 
     /// Gives the layer's planes the size that `needs` wants, all background when anything changed.
@@ -205,6 +260,8 @@ impl Renderer {
                 plane.fill(0.0);
             }
         }
+        self.layer.silhouette.resize(when(needs.includes(Needs::SILHOUETTE)), 0);
+        self.layer.silhouette.fill(0);
         let grid = TileGrid::new(size);
         self.layer.touched.reset(grid);
         self.previous.reset(grid);
@@ -223,15 +280,31 @@ impl Renderer {
         placed: &[Placed],
         camera: &Camera,
         grid: TileGrid,
-        look: &Look,
+        look: Look,
+        part: Part,
     ) -> usize {
-        let Self { level, layer, field, vertices, instances, surfaces, chunks, slots, slot_of, .. } = self;
+        let Self {
+            level,
+            layer,
+            field,
+            vertices,
+            instances,
+            surfaces,
+            chunks,
+            slots,
+            slot_of,
+            silhouette,
+            ..
+        } = self;
         let Some(field) = field.as_ref() else { return 0 };
         instances.clear();
         surfaces.clear();
         let (mut vertex_count, mut triangle_count) = (0, 0);
         for &placed in placed {
             let Some(model) = scene.models.get(placed.model) else { continue };
+            if !part.holds(model.secondary) {
+                continue;
+            }
             instances.push(Instance { placed, first_vertex: vertex_count, first_surface: surfaces.len() });
             let shading = look.shading.unwrap_or(model.shading);
             Surface::push_all(placed.model, model, shading, &scene.light, surfaces);
@@ -245,7 +318,10 @@ impl Renderer {
             vertex::place(mesh, &instance.placed.to_camera, camera, field, &scene.light, look.needs, out);
         }
         layer.extent = extent(vertices, camera);
-        let view = View { scene, camera, field, grid, instances, surfaces, vertices };
+        let view = View { scene, camera, field, grid, instances, surfaces, vertices, look };
+        if look.needs.includes(Needs::SILHOUETTE) {
+            silhouette.find(&view);
+        }
 
         let length = CHUNK.max(triangle_count.div_ceil(MAX_CHUNKS));
         let mut used_chunks = 0;

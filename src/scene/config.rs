@@ -48,6 +48,10 @@ pub struct ModelConfig {
     /// Leaves out back faces; only for closed models.
     #[serde(default)]
     pub cull_back: bool,
+    /// Secondary geometry: what is inside other models. Styles that look through surfaces (illustrative) draw it in a
+    /// color of its own and always visibly; the others as any model.
+    #[serde(default)]
+    pub secondary: bool,
 }
 
 /// Which printed marker.
@@ -203,6 +207,7 @@ impl ModelConfig {
                 },
             },
             cull_back: self.cull_back,
+            secondary: self.secondary,
         })
     }
 

@@ -5,11 +5,13 @@
 
 mod builtin;
 mod config;
+mod edges;
 mod mesh;
 mod obj;
 
 pub use builtin::{BUILTIN, builtin};
 pub use config::{AnchorConfig, LightConfig, ModelConfig, SceneError};
+pub use edges::{Edge, Edges, KeptEdges};
 pub use mesh::{Material, Mesh};
 pub use obj::{Limits, ModelError};
 
@@ -40,6 +42,8 @@ pub struct Model {
     pub shading: Shading,
     /// Whether back faces are dropped.
     pub cull_back: bool,
+    /// Whether it is secondary geometry: what is inside, for styles that look through surfaces.
+    pub secondary: bool,
 }
 
 /// Which printed marker carries a model.
@@ -74,6 +78,9 @@ pub enum Shading {
         /// Lowest level, 0..1.
         base: f32,
     },
+    /// The three steps of Chen, Turk & MacIntyre 2008: the normal is interpolated and made unit length per pixel;
+    /// intensity above .7 gives 1, above .2 gives .4, else .1. Ambient light has no part in it.
+    ThreeSteps,
 }
 
 /// One directional light with an ambient part, in camera space.

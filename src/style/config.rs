@@ -1,6 +1,6 @@
 //! Settings of all styles: what the scene file's `[style]` table and `--set key=value` reach.
 
-use super::{bilateral, cartoon, illustrative, watercolor};
+use super::{bilateral, cartoon, illustrative, sketchy, watercolor};
 use crate::retouch::{RangeError, part};
 use serde::{Deserialize, Serialize};
 
@@ -21,6 +21,8 @@ pub enum StyleName {
     Watercolor,
     /// Black edges and cross-hatching on paper.
     Illustrative,
+    /// Blurred colors on paper under pencil strokes along the silhouettes.
+    Sketchy,
 }
 
 impl StyleName {
@@ -33,6 +35,7 @@ impl StyleName {
             StyleName::SketchLike => "sketch-like",
             StyleName::Watercolor => "watercolor",
             StyleName::Illustrative => "illustrative",
+            StyleName::Sketchy => "sketchy",
         }
     }
 }
@@ -47,8 +50,8 @@ impl std::fmt::Display for StyleName {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Config {
-    /// The style to draw: "plain", "cartoon", "bilateral-cartoon", "sketch-like", "watercolor" or
-    /// "illustrative". Default "cartoon".
+    /// The style to draw: "plain", "cartoon", "bilateral-cartoon", "sketch-like", "watercolor",
+    /// "illustrative" or "sketchy". Default "cartoon".
     pub name: StyleName,
     /// Time over which one style fades into the next, ms, 0 (at once) to 5000. Default 300.
     pub fade_ms: u32,
@@ -69,6 +72,8 @@ pub struct Config {
     pub watercolor: watercolor::Config,
     /// Settings of the illustrative style.
     pub illustrative: illustrative::Config,
+    /// Settings of the sketchy style.
+    pub sketchy: sketchy::Config,
 }
 
 impl Default for Config {
@@ -83,6 +88,7 @@ impl Default for Config {
             sketch_like: Default::default(),
             watercolor: Default::default(),
             illustrative: Default::default(),
+            sketchy: Default::default(),
         }
     }
 }
@@ -153,7 +159,8 @@ impl Config {
         self.bilateral_cartoon.validate()?;
         self.sketch_like.validate()?;
         self.watercolor.validate()?;
-        self.illustrative.validate()
+        self.illustrative.validate()?;
+        self.sketchy.validate()
     }
 
     /// Sets one setting of the named style from text, as `--set key=value` does.
@@ -179,6 +186,10 @@ impl Config {
             StyleName::Illustrative => {
                 self.illustrative = edited(self.name, &self.illustrative, key, value)?;
                 self.illustrative.validate()
+            }
+            StyleName::Sketchy => {
+                self.sketchy = edited(self.name, &self.sketchy, key, value)?;
+                self.sketchy.validate()
             }
         }
     }

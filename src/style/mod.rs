@@ -10,6 +10,7 @@ pub mod composite;
 mod config;
 pub mod illustrative;
 pub mod plain;
+pub mod sketchy;
 pub mod watercolor;
 
 pub use config::{Config, ConfigError, StyleName};
@@ -40,7 +41,8 @@ pub trait Style {
     fn draw(&mut self, input: StyleInput<'_>, out: &mut Rgb);
 }
 
-/// The style that `config` names in plain f64, over an augmented picture: slow, for tests and benchmarks.
+/// The style that `config` names in plain f64, over a picture with no model in view (for cartoon and watercolor,
+/// which filter camera picture and models alike, an augmented one): slow, for tests and benchmarks.
 pub fn reference(config: &Config, augmented: &Rgb) -> Rgb {
     match config.name {
         StyleName::Plain => augmented.clone(),
@@ -49,6 +51,7 @@ pub fn reference(config: &Config, augmented: &Rgb) -> Rgb {
         StyleName::SketchLike => bilateral::sketch_reference(&config.sketch_like, augmented),
         StyleName::Watercolor => watercolor::reference(&config.watercolor, augmented),
         StyleName::Illustrative => illustrative::reference(&config.illustrative, augmented),
+        StyleName::Sketchy => sketchy::reference(&config.sketchy, augmented),
     }
 }
 
@@ -66,6 +69,8 @@ pub enum Styler {
     Watercolor(Box<watercolor::Watercolor>),
     /// Edges and hatching on paper.
     Illustrative(Box<illustrative::Illustrative>),
+    /// A blurred picture on paper under pencil strokes.
+    Sketchy(Box<sketchy::Sketchy>),
 }
 
 impl Styler {
@@ -89,6 +94,9 @@ impl Styler {
             StyleName::Illustrative => {
                 Styler::Illustrative(Box::new(illustrative::Illustrative::new(config.illustrative, level)))
             }
+            StyleName::Sketchy => {
+                Styler::Sketchy(Box::new(sketchy::Sketchy::new(config.sketchy.clone(), level)))
+            }
         }
     }
 
@@ -101,6 +109,7 @@ impl Styler {
             Styler::SketchLike(_) => StyleName::SketchLike,
             Styler::Watercolor(_) => StyleName::Watercolor,
             Styler::Illustrative(_) => StyleName::Illustrative,
+            Styler::Sketchy(_) => StyleName::Sketchy,
         }
     }
 
@@ -113,6 +122,7 @@ impl Styler {
             Styler::SketchLike(style) => style.look(),
             Styler::Watercolor(style) => style.look(),
             Styler::Illustrative(style) => style.look(),
+            Styler::Sketchy(style) => style.look(),
         }
     }
 
@@ -123,8 +133,10 @@ impl Styler {
 
     /// Forgets what earlier frames left behind: the next frame is drawn as a first one.
     pub fn restart(&mut self) {
-        if let Styler::Watercolor(style) = self {
-            style.restart();
+        match self {
+            Styler::Watercolor(style) => style.restart(),
+            Styler::Sketchy(style) => style.restart(),
+            _ => {}
         }
     }
 
@@ -137,6 +149,7 @@ impl Styler {
             Styler::SketchLike(style) => style.draw(input, out),
             Styler::Watercolor(style) => style.draw(input, out),
             Styler::Illustrative(style) => style.draw(input, out),
+            Styler::Sketchy(style) => style.draw(input, out),
         }
     }
 }

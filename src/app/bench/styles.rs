@@ -25,6 +25,14 @@ fn ladder(style: StyleName) -> &'static [&'static [(&'static str, &'static str)]
             &[&[("iterations", "1")], &[("levels", "3")], &[("levels", "1")], &[("levels", "4")]]
         }
         StyleName::Watercolor => &[&[("cell", "6")], &[("cell", "12")], &[("cell", "16")]],
+        StyleName::Sketchy => &[
+            &[("density", ".06")],
+            &[("points", "6")],
+            &[("renderer", "polygons")],
+            &[("renderer", "sprites")],
+            &[("blur", "false")],
+            &[("strokes", "false")],
+        ],
     }
 }
 

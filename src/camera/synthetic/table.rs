@@ -86,6 +86,7 @@ fn model(name: &str, mesh: Mesh) -> Model {
         to_marker: DAffine3::IDENTITY,
         shading: Shading::Smooth,
         cull_back: false,
+        secondary: false,
     }
 }
 

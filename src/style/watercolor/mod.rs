@@ -8,7 +8,8 @@
 //!    the labels stay.
 //!
 //! So a frame depends on the ones before it through the sites alone: the same sequence always gives the same bytes,
-//! and [`Watercolor::restart`] begins a sequence anew. Objects are filtered with the picture.
+//! and [`Watercolor::restart`] begins a sequence anew. Objects are drawn by a
+//! toon shader of three steps (section 3.2) and filtered with the picture.
 
 pub mod cells;
 mod reference;
@@ -19,11 +20,14 @@ pub use reference::reference;
 pub use sites::{Sites, SitesFile, initial};
 
 use super::{ConfigError, Style, StyleInput, StyleName, composite};
+use crate::frame::Needs;
 use crate::kernel::band_rows;
 use crate::kernel::contrast::Weights;
 use crate::kernel::voronoi::Voronoi;
 use crate::pixels::simd::{Level, dispatch};
 use crate::pixels::{Plane, Rgb, Size};
+use crate::render::Look;
+use crate::scene::Shading;
 use fearless_simd::Simd;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -187,6 +191,10 @@ impl Watercolor {
 }
 
 impl Style for Watercolor {
+    fn look(&self) -> Look {
+        Look { shading: Some(Shading::ThreeSteps), ..Needs::COLOR.into() }
+    }
+
     fn draw(&mut self, input: StyleInput<'_>, out: &mut Rgb) {
         let mut canvas = std::mem::take(&mut self.canvas);
         let picture = composite::augmented(&input, &mut canvas);

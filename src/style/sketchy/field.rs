@@ -1,0 +1,154 @@
+//! The reference image (sections 3.2 and 4): which pixels are edges, and the force field along them.
+//!
+//! Nothing is laid out: strokes look at few pixels, so each is worked out when asked for. On the camera's part
+//! gradients are exact integers. The models' part covers the camera's: a pixel whose 3x3 neighbors hold a model is
+//! judged by depth alone, unless it is background, where the camera may have an edge as well.
+
+use super::Config;
+use crate::frame::Layer;
+use crate::pixels::{Plane, Size};
+
+/// What a pixel without a model counts as, in parts of the depth extent behind the nearest point: one extent behind
+/// the farthest, so that every contour is an edge.
+pub(super) const BACKGROUND: f64 = 2.0;
+
+/// One edge pixel.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Edge {
+    /// The force: unit vector along the edge, (-gy, gx) / |g|.
+    pub force: [f64; 2],
+    /// 1 at the models' nearest point, -1 at their farthest, 0 on the camera's edges.
+    pub nearness: f64,
+}
+
+/// The reference image of one frame.
+#[derive(Clone, Copy)]
+pub struct Field<'a> {
+    red: &'a Plane<u8>,
+    /// A squared gradient (times 4, of 0..255) above this is an edge.
+    limit: i32,
+    relief: Option<Relief<'a>>,
+}
+
+/// The models' depth.
+#[derive(Clone, Copy)]
+struct Relief<'a> {
+    depth: &'a Plane<f32>,
+    near: f64,
+    /// 1 / depth extent.
+    scale: f64,
+    threshold: f64,
+    guarded: bool,
+}
+
+impl<'a> Field<'a> {
+    /// The field of a camera picture's red and of the models over it, if there are any.
+    pub fn new(config: &Config, red: &'a Plane<u8>, layer: Option<&'a Layer>) -> Self {
+        let threshold = config.threshold * (4.0 * 255.0);
+        let layer = layer.filter(|layer| !layer.touched.is_empty() && layer.depth.size() == red.size());
+        let relief = layer.map(|layer| {
+            let [near, far] = layer.extent.map(f64::from);
+            Relief {
+                depth: &layer.depth,
+                near,
+                scale: 1.0 / extent(near, far),
+                threshold: config.depth_threshold,
+                guarded: config.slope_guard,
+            }
+        });
+        Self { red, limit: (threshold * threshold).floor() as i32, relief }
+    }
+
+    /// Width and height.
+    pub fn size(&self) -> Size {
+        self.red.size()
+    }
+
+    /// The edge at a pixel of the picture, if there is one.
+    #[inline]
+    pub fn edge(&self, x: usize, y: usize) -> Option<Edge> {
+        if let Some(relief) = &self.relief {
+            let around = around(relief.depth, x, y);
+            if around.iter().flatten().any(|&z| z < f32::INFINITY) {
+                let edge = relief.edge(around);
+                if edge.is_some() || around[1][1] < f32::INFINITY {
+                    return edge;
+                }
+            }
+        }
+        let [gx, gy] = self.gradient(x, y);
+        (gx * gx + gy * gy > self.limit)
+            .then(|| Edge { force: along([f64::from(gx), f64::from(gy)]), nearness: 0.0 })
+    }
+
+    /// The force at a pixel whether or not it is an edge; 0 where nothing changes.
+    pub fn force(&self, x: usize, y: usize) -> [f64; 2] {
+        match self.edge(x, y) {
+            Some(edge) => edge.force,
+            None => along(self.gradient(x, y).map(f64::from)),
+        }
+    }
+
+    /// Four times the gradient of the camera's red, of 0..255.
+    #[inline]
+    fn gradient(&self, x: usize, y: usize) -> [i32; 2] {
+        let [a, b, c] = around(self.red, x, y).map(|row| row.map(i32::from));
+        let gx = (a[2] - a[0]) + 2 * (b[2] - b[0]) + (c[2] - c[0]);
+        let gy = (c[0] - a[0]) + 2 * (c[1] - a[1]) + (c[2] - a[2]);
+        [gx, gy]
+    }
+}
+
+/// The depth extent, never so small that rounding would look like relief.
+pub(super) fn extent(near: f64, far: f64) -> f64 {
+    (far - near).max(1e-3 * far)
+}
+
+impl Relief<'_> {
+    /// The models' edge at the middle of 3x3 depths of which one at least is finite.
+    fn edge(&self, around: [[f32; 3]; 3]) -> Option<Edge> {
+        let depth = around.map(|row| {
+            row.map(|z| if z < f32::INFINITY { (f64::from(z) - self.near) * self.scale } else { BACKGROUND })
+        });
+        let [a, b, c] = depth;
+        let gx = ((a[2] - a[0]) + 2.0 * (b[2] - b[0]) + (c[2] - c[0])) * 0.25;
+        let gy = ((c[0] - a[0]) + 2.0 * (c[1] - a[1]) + (c[2] - a[2])) * 0.25;
+        let inside = around.iter().flatten().all(|&z| z < f32::INFINITY);
+        let steep = gx * gx + gy * gy > self.threshold * self.threshold;
+        if !steep || (self.guarded && inside && self.flat(around)) {
+            return None;
+        }
+        let nearest = depth.iter().flatten().fold(1.0f64, |least, &d| if d < least { d } else { least });
+        Some(Edge { force: along([gx, gy]), nearness: 1.0 - 2.0 * nearest })
+    }
+
+    /// Whether 3x3 depths are those of a plane, up to the threshold: the inverse depth of a plane is linear in the
+    /// picture, however steep the plane, so its second differences vanish; at a jump they are the jump.
+    fn flat(&self, around: [[f32; 3]; 3]) -> bool {
+        let [a, b, c] = around.map(|row| row.map(|z| 1.0 / f64::from(z)));
+        let bend = |first: f64, middle: f64, last: f64| (first - middle) - (middle - last);
+        let across = (bend(a[0], a[1], a[2]) + 2.0 * bend(b[0], b[1], b[2]) + bend(c[0], c[1], c[2])) * 0.25;
+        let down = (bend(a[0], b[0], c[0]) + 2.0 * bend(a[1], b[1], c[1]) + bend(a[2], b[2], c[2])) * 0.25;
+        // a small change of 1/z is one of z by -z²
+        let z = f64::from(around[1][1]);
+        let bend = (across * across + down * down).sqrt() * z * z * self.scale;
+        bend <= self.threshold
+    }
+}
+
+/// The unit vector along an edge with this gradient; 0 without one.
+fn along([gx, gy]: [f64; 2]) -> [f64; 2] {
+    let length = (gx * gx + gy * gy).sqrt();
+    if length > 0.0 { [-gy / length, gx / length] } else { [0.0; 2] }
+}
+
+/// The 3x3 samples around a pixel, borders repeated.
+#[inline]
+fn around<T: Copy>(plane: &Plane<T>, x: usize, y: usize) -> [[T; 3]; 3] {
+    let size = plane.size();
+    let columns = [x.saturating_sub(1), x, (x + 1).min(size.width - 1)];
+    [y.saturating_sub(1), y, (y + 1).min(size.height - 1)].map(|y| {
+        let row = plane.row(y);
+        columns.map(|x| row[x])
+    })
+}

@@ -1,0 +1,159 @@
+//! Where strokes may begin: random pixels, or the places of a file. Ordered by row, so that tracing walks down the
+//! picture; how strokes were numbered is kept beside them.
+
+use crate::pixels::{Size, SplitMix64, hash_noise};
+use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+/// Most starts a file may hold.
+const MOST: u64 = 1 << 22;
+/// Coordinates in a file lie within this many px of 0.
+const FARTHEST: f64 = 65536.0;
+
+/// A place where a stroke may begin.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Start {
+    /// x, y in px, pixel centers at integers.
+    pub at: [f64; 2],
+    /// Its number in drawing order.
+    pub number: u32,
+}
+
+/// ⌊density · W · H⌋ random pixels of a picture, in drawing order.
+pub fn random(size: Size, density: f64, seed: u64) -> impl Iterator<Item = [f64; 2]> {
+    let count = (density * size.width as f64 * size.height as f64).floor() as usize;
+    let mut rng = SplitMix64::new(seed);
+    (0..count).map(move |_| {
+        let x = rng.int(0, size.width as i64 - 1);
+        [x as f64, rng.int(0, size.height as i64 - 1) as f64]
+    })
+}
+
+/// The seed of frame number `frame`: the first frame has the seed itself.
+pub fn seed_of(seed: u64, frame: u64) -> u64 {
+    if frame == 0 { seed } else { hash_noise(0, 0, seed, frame) }
+}
+
+/// The starts of one frame, upper rows first.
+#[derive(Debug, Default)]
+pub struct Starts {
+    unordered: Vec<Start>,
+    ordered: Vec<Start>,
+    /// Where each row begins.
+    rows: Vec<usize>,
+}
+
+impl Starts {
+    /// Takes these places. Allocates only to grow.
+    pub fn fill(&mut self, height: usize, places: impl Iterator<Item = [f64; 2]>) {
+        self.unordered.clear();
+        self.unordered.extend((0..).zip(places).map(|(number, at)| Start { at, number }));
+        // counting sort by row: stable, without allocating
+        let row_of = |start: &Start| ((start.at[1] + 0.5).floor().max(0.0) as usize).min(height - 1);
+        self.rows.clear();
+        self.rows.resize(height + 1, 0);
+        self.unordered.iter().for_each(|start| self.rows[row_of(start) + 1] += 1);
+        for row in 0..height {
+            self.rows[row + 1] += self.rows[row];
+        }
+        self.ordered.resize(self.unordered.len(), Start::default());
+        for start in &self.unordered {
+            let row = &mut self.rows[row_of(start)];
+            self.ordered[*row] = *start;
+            *row += 1;
+        }
+    }
+
+    /// All of them.
+    pub fn ordered(&self) -> &[Start] {
+        &self.ordered
+    }
+}
+
+/// The setting `starts`: a path whose file is read as soon as the setting is; "" for none.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(try_from = "PathBuf", into = "PathBuf")]
+pub struct StartsFile {
+    path: PathBuf,
+    starts: Option<Arc<Vec<[f64; 2]>>>,
+}
+
+impl StartsFile {
+    /// The starts, where a file is named.
+    pub fn starts(&self) -> Option<&[[f64; 2]]> {
+        self.starts.as_ref().map(|starts| starts.as_slice())
+    }
+}
+
+impl From<StartsFile> for PathBuf {
+    fn from(file: StartsFile) -> Self {
+        file.path
+    }
+}
+
+/// Why a file of starts is refused.
+#[derive(Debug, thiserror::Error)]
+pub enum StartsError {
+    /// It cannot be read, or it is not .npy.
+    #[error("{path}: cannot read it as .npy: {reason}", path = path.display())]
+    Unreadable {
+        /// The file.
+        path: PathBuf,
+        /// The system's word.
+        reason: String,
+    },
+    /// It holds something else than starts.
+    #[error("{path}: starts are an N x 2 array of f64 or f32, N up to 4194304, rows first", path = path.display())]
+    Shape {
+        /// The file.
+        path: PathBuf,
+    },
+    /// A coordinate is not a place.
+    #[error("{path}: start {index} is at ({x}, {y}); coordinates lie within 65536 px of 0", path = path.display())]
+    Place {
+        /// The file.
+        path: PathBuf,
+        /// Which start, from 0.
+        index: usize,
+        /// Its x.
+        x: f64,
+        /// Its y.
+        y: f64,
+    },
+}
+
+impl TryFrom<PathBuf> for StartsFile {
+    type Error = StartsError;
+
+    fn try_from(path: PathBuf) -> Result<Self, StartsError> {
+        if path.as_os_str().is_empty() {
+            return Ok(Self::default());
+        }
+        let starts = Some(Arc::new(read(&path)?));
+        Ok(Self { path, starts })
+    }
+}
+
+fn read(path: &Path) -> Result<Vec<[f64; 2]>, StartsError> {
+    let unreadable = |e: std::io::Error| StartsError::Unreadable { path: path.into(), reason: e.to_string() };
+    let shape = || StartsError::Shape { path: path.into() };
+    let file = std::fs::File::open(path).map_err(unreadable)?;
+    let array = npyz::NpyFile::new(std::io::BufReader::new(file)).map_err(unreadable)?;
+    let fine = matches!(*array.shape(), [0..=MOST, 2]) && array.order() == npyz::Order::C;
+    if !fine {
+        return Err(shape());
+    }
+    let values: Vec<f64> = match array.try_data::<f64>() {
+        Ok(values) => values.collect::<Result<_, _>>().map_err(unreadable)?,
+        Err(array) => {
+            let values = array.try_data::<f32>().map_err(|_| shape())?;
+            values.map(|value| value.map(f64::from)).collect::<Result<_, _>>().map_err(unreadable)?
+        }
+    };
+    let start = |(index, &[x, y]): (usize, &[f64; 2])| match x.abs() < FARTHEST && y.abs() < FARTHEST {
+        true => Ok([x, y]),
+        false => Err(StartsError::Place { path: path.into(), index, x, y }),
+    };
+    values.as_chunks::<2>().0.iter().enumerate().map(start).collect()
+}
