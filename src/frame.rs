@@ -82,20 +82,45 @@ impl Needs {
     pub const NORMAL: Needs = Needs(4);
     /// Depth and normal of the second-nearest surface.
     pub const SECOND_LAYER: Needs = Needs(8);
-    /// Thick outlines.
+    /// Thick outlines; faces turned away are not filled.
     pub const SILHOUETTE: Needs = Needs(16);
     /// The models as points instead of surfaces.
     pub const PARTICLES: Needs = Needs(32);
+    /// Secondary models drawn on their own, apart from the others: depth and normal.
+    pub const SECONDARY: Needs = Needs(64);
 
     /// Both.
     pub const fn and(self, other: Needs) -> Needs {
         Needs(self.0 | other.0)
     }
 
+    /// What both want.
+    pub const fn within(self, other: Needs) -> Needs {
+        Needs(self.0 & other.0)
+    }
+
+    /// Without the other.
+    pub const fn without(self, other: Needs) -> Needs {
+        Needs(self.0 & !other.0)
+    }
+
     /// Whether all of `other` is wanted.
     pub const fn includes(self, other: Needs) -> bool {
         self.0 & other.0 == other.0
     }
+}
+
+/// A point of a model as it is seen, hidden or not.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Particle {
+    /// Where it is in the picture, px; inside it.
+    pub x: f32,
+    /// Where it is in the picture, px; inside it.
+    pub y: f32,
+    /// Camera z, mm.
+    pub z: f32,
+    /// Lit red, green, blue, 0..1.
+    pub color: [f32; 3],
 }
 
 /// The renderer's output: the drawn models over nothing. Outside `touched` tiles every plane holds its
@@ -112,11 +137,18 @@ pub struct Layer {
     pub depth2: Plane<f32>,
     /// Second-nearest normal, 0 where there is none.
     pub normal2: [Plane<f32>; 3],
-    /// Nearest and farthest camera z of all drawn models, mm; the first is the larger when nothing is drawn.
+    /// Thick outlines of the models: 255 on a visible line, else 0.
+    pub silhouette: Plane<u8>,
+    /// The secondary models alone, their depth and normal; they are then in no other product.
+    pub secondary: Option<Box<Layer>>,
+    /// The models' points that face the viewer, far to near; its capacity is the most there can be.
+    pub particles: Vec<Particle>,
+    /// Nearest and farthest camera z of all drawn models, mm (secondary
+    /// ones left out where they are apart); the first is the larger when nothing is drawn.
     pub extent: [f32; 2],
     /// Unit vector towards the light that shaded the models, camera space.
     pub light: Vec3,
-    /// Tiles with at least one covered pixel.
+    /// Tiles with at least one pixel that is covered, on a line or under a particle, secondary models included.
     pub touched: TileSet,
     /// How the picture divides into those tiles.
     pub grid: Option<TileGrid>,

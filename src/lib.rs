@@ -9,7 +9,7 @@
 //! | 1 | [`kernel`]: one image kernel a file, fast body and f64 reference; [`geometry`]: pose, lens, homography |
 //! | 2 | [`marker`]: marker families as data |
 //! | 3 | [`frame`]: what flows; [`scene`]: what is wanted |
-//! | 4 | [`render`]: the tile rasteriser |
+//! | 4 | [`render`]: the tile rasteriser; [`retouch`]: the camera picture before it is styled, and which part is |
 //! | 5 | [`camera`], [`track`], [`style`], [`display`] |
 //! | 6 | [`pipeline`]: one frame, the plan, the hand-over |
 //! | 7 | [`app`]: commands, settings, threads |
@@ -26,6 +26,7 @@ pub mod marker;
 pub mod pipeline;
 pub mod pixels;
 pub mod render;
+pub mod retouch;
 pub mod scene;
 pub mod style;
 pub mod track;

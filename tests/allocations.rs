@@ -80,3 +80,44 @@ fn three_hundred_frames_allocate_nothing_in_any_style() {
         }
     });
 }
+
+#[test]
+fn with_every_option_on_switching_allocates_between_frames_only() {
+    let size = Size::new(320, 240);
+    // always the same picture: how full it is may not matter here
+    let settings = SyntheticConfig { samples: 1, pace: 0.0, noise: 0.0, ..SyntheticConfig::default() };
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(2).build().expect("a pool");
+    let cycle = StyleName::value_variants().to_vec();
+    let part = toml::from_str("of = \"object\"").expect("a valid table");
+    let config =
+        style::Config { cycle: cycle.clone(), fade_ms: 100, part: Some(part), ..style::Config::default() };
+    let retouch = toml::from_str("steady = {}\nhide = {}\nlight = {}\nshadow = {}").expect("a valid table");
+    pool.install(|| {
+        let mut camera = Synthetic::new(&settings, size, 30.0, simd::best());
+        let mut pipeline = Pipeline::new(teapot(), camera.lens(), Default::default(), &config, simd::best())
+            .retouched(&retouch);
+        let mut frame = Frame::default();
+        let (mut inside, mut faded) = (Vec::new(), 0);
+        for number in 0..12 * (cycle.len() + 3) {
+            assert!(camera.next(&mut frame));
+            match (number % 12, number / 12) {
+                (0, round) if round > cycle.len() => {
+                    // a style that was not built ahead
+                    let mut other = style::Config { name: StyleName::Watercolor, ..config.clone() };
+                    other.watercolor.cell = 6 + round as u32;
+                    pipeline.switch(&other);
+                }
+                (0, round) if round > 0 => pipeline.step_style(1),
+                _ => {}
+            }
+            let before = ALLOCATIONS.load(Ordering::Relaxed);
+            faded += usize::from(pipeline.draw_frame(&frame).plan.fade.runs);
+            let allocated = ALLOCATIONS.load(Ordering::Relaxed) - before;
+            if number >= 12 && allocated > 0 {
+                inside.push((number, allocated));
+            }
+        }
+        assert_eq!(faded, 2 * (cycle.len() + 2));
+        assert!(inside.is_empty(), "frames that allocate, and how often: {inside:?}");
+    });
+}

@@ -11,6 +11,7 @@ const FLOORS: &[(&str, u32)] = &[
     ("frame", 3),
     ("scene", 3),
     ("render", 4),
+    ("retouch", 4),
     ("camera", 5),
     ("track", 5),
     ("style", 5),

@@ -7,7 +7,8 @@ usage: test.py [--host BINARY] [--dir DIR] [--frames N] [--skip-build] [--only l
           `vernissage run` on the board takes it from /dev/video0, draws it and shows it on /dev/dri/card0. Checked:
           frames in order, marker tracked, every shown frame's scan-out buffer identical with a replay of its trace
           on this machine, and pictures taken from the emulated screen identical with the replay's files.
-2. clock  The board's clock counts instructions: the program's own times become million ARM instructions.
+2. clock  The board's clock counts instructions: the program's own times become million ARM instructions, of the
+          whole frame's stages and of every style alone. Checked: no style costs more than its bound.
 
 Needs what install.sh installs and a release build of the program for this machine (made if missing). Everything
 is kept in DIR (default target/virtual-board): console logs, the trace, screen pictures, replayed frames.
@@ -73,9 +74,16 @@ cp /tmp/trace.bin /host/trace.bin
 
 CLOCK = """
 echo BOARD: run
-vernissage demo --frames 4 --threads 1 --out /tmp/demo > /host/clock.txt 2> /host/clock.err
-echo BOARD: ran $?
+vernissage demo --frames 4 --threads 1 --out /tmp/demo > /host/clock.txt 2> /host/clock.err || echo BOARD: ran 1
+for style in {styles}; do
+  vernissage stylize --style $style --repeat 3 --json --threads 1 /host/frame.png >> /host/clock.jsonl 2>> /host/clock.err \\
+    || echo BOARD: ran 1
+done
+echo BOARD: ran 0
 """
+
+# million ARM instructions that a style may take for a 640x480 picture, bytes to bytes
+BUDGET = {"cartoon": 80, "bilateral-cartoon": 40, "sketch-like": 40, "watercolor": 40, "illustrative": 40}
 
 failures = 0
 
@@ -332,20 +340,34 @@ def compare_screen(folder, dumps):
           f"screen: {len(known)} of {len(order)} pictures taken while running are replayed frames, in order")
 
 
-def clock(folder):
+def clock(host, folder):
     """Boot 2: one instruction is one nanosecond, so a millisecond is a million instructions."""
-    for name in ("clock.txt", "clock.err"):
+    for name in ("clock.txt", "clock.jsonl", "clock.err"):
         (folder / "host" / name).unlink(missing_ok=True)
-    (folder / "host" / "run.sh").write_text(CLOCK)
+    shutil.rmtree(folder / "frame", ignore_errors=True)
+    (folder / "clip.toml").write_text(CLIP.format(frames=1))
+    if run([host, "render", "--config", folder / "clip.toml", "--out", folder / "frame"], 120) is None:
+        check(False, "clock: a picture made by the program")
+        return
+    shutil.copy(next((folder / "frame").glob("*.png")), folder / "host" / "frame.png")
+    (folder / "host" / "run.sh").write_text(CLOCK.format(styles=" ".join(BUDGET)))
     board = Board(folder, "clock", ["-smp", "1", "-icount", "shift=0,sleep=off"])
     try:
-        board.wait_for("ran", 180)
+        board.wait_for("ran", 240)
     finally:
         board.close(20)
-    if check(board.said("ran") == "0", f"clock: measured (exit {board.said('ran')})"):
-        note("ms on the board's clock = million ARM instructions:")
-        for line in (folder / "host" / "clock.txt").read_text().splitlines():
+    if not check(board.said("ran") == "0", f"clock: measured (exit {board.said('ran')})"):
+        for line in (folder / "host" / "clock.err").read_text().splitlines()[-10:]:
             note(line)
+        return
+    note("ms on the board's clock = million ARM instructions:")
+    for line in (folder / "host" / "clock.txt").read_text().splitlines():
+        note(line)
+    costs = {line["style"]: min(line["ms"])
+             for line in map(json.loads, (folder / "host" / "clock.jsonl").read_text().splitlines())}
+    for style, budget in BUDGET.items():
+        cost = costs.get(style, float("inf"))
+        check(cost <= budget, f"clock: {style} {cost:.1f} million instructions a frame, at most {budget}")
 
 
 def main():
@@ -371,7 +393,7 @@ def main():
     if chosen.only != "clock":
         loop(host.resolve(), folder, chosen.frames)
     if chosen.only != "loop":
-        clock(folder)
+        clock(host.resolve(), folder)
     note(f"{time.monotonic() - began:.0f} s, logs and pictures in {folder}")
     print("virtual board: " + (f"{failures} checks FAILED" if failures else "all checks passed"))
     return 1 if failures else 0

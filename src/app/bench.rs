@@ -1,5 +1,11 @@
 //! `vernissage bench`: time and error of every stage, side by side, with the machine's facts.
 
+mod coherence;
+mod plot;
+mod quality;
+mod steps;
+mod styles;
+
 use super::report::machine;
 use super::{demo, pool, progress, say};
 use crate::camera::Synthetic;
@@ -11,11 +17,14 @@ use crate::marker::Family;
 use crate::pipeline::Stage;
 use crate::pixels::{Plane, Rgb, Size, simd};
 use crate::render::{Camera, Placed, Renderer};
+use crate::retouch;
 use crate::scene::{Mesh, Scene};
 use crate::style::{self, StyleInput, StyleName, Styler};
 use crate::track::{Tracker, Wanted};
 use clap::ValueEnum;
 use glam::{DAffine3, DVec2, DVec3};
+use quality::Quality;
+use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 /// Prints how long each stage takes and how far it is from its f64 reference or the exact truth.
@@ -27,8 +36,8 @@ use std::time::{Duration, Instant};
     after_help = "Examples:\n  vernissage bench\n  vernissage bench --styles --threads 1 --repeat 100 --json"
 )]
 pub struct Args {
-    /// The styles only
-    #[arg(long)]
+    /// The styles only, in every variant: settings, SIMD levels, single steps; leaves a plot
+    #[arg(long, conflicts_with_all = ["tracking", "raster"])]
     styles: bool,
     /// The tracker only
     #[arg(long)]
@@ -36,6 +45,9 @@ pub struct Args {
     /// The rasteriser only
     #[arg(long)]
     raster: bool,
+    /// How calm the styles are on a noisy, still scene, and whether `[retouch.steady]` helps
+    #[arg(long)]
+    coherence: bool,
     /// Thread counts to measure
     #[arg(long, value_delimiter = ',', default_value = "1,2", value_name = "N,N")]
     threads: Vec<usize>,
@@ -45,6 +57,9 @@ pub struct Args {
     /// Runs of every frame
     #[arg(long, default_value_t = 20, value_name = "K", value_parser = clap::value_parser!(u64).range(1..=100_000))]
     repeat: u64,
+    /// Where --styles leaves its plot of time against error
+    #[arg(long, default_value = "styles.svg", value_name = "FILE")]
+    plot: PathBuf,
     /// One JSON object a line
     #[arg(long)]
     json: bool,
@@ -78,12 +93,19 @@ impl Times {
 }
 
 pub fn run(args: Args) -> anyhow::Result<()> {
-    let all = !(args.styles || args.tracking || args.raster);
-    let parts: [(bool, Part); 5] = [
+    if args.coherence {
+        return coherence::run(&args);
+    }
+    if args.styles {
+        return styles::run(&args);
+    }
+    let all = !(args.tracking || args.raster);
+    let parts: [(bool, Part); 6] = [
         (all, Bench::convert),
         (all || args.tracking, Bench::tracking),
         (all || args.raster, Bench::raster),
-        (all || args.styles, Bench::styles),
+        (all, Bench::retouch),
+        (all, Bench::styles),
         (all, Bench::whole),
     ];
     if args.json {
@@ -186,7 +208,7 @@ impl Bench {
         let (samples, coding) = (Samples::Yuyv(bytes.view()), Coding::default());
         let (mut luma, mut color) = (Plane::default(), Rgb::default());
         let times = self.time(|_| yuv::to_rgb(simd::best(), &samples, size, coding, &mut luma, &mut color));
-        let error = compare(&color, &yuv::reference::to_rgb(&samples, size, coding).1);
+        let error = Quality::of(&color, &yuv::reference::to_rgb(&samples, size, coding).1).to_string();
         vec![self.row("camera", "yuyv to frame", times, error)]
     }
 
@@ -244,6 +266,27 @@ impl Bench {
         rows
     }
 
+    /// What settings may ask for before a style draws, the printed marker's exact pose given.
+    fn retouch(&self) -> Vec<Row> {
+        let (Some((scene, ..)), lens) = (view("teapot"), self.camera.lens()) else { return Vec::new() };
+        let mark = |frame: &Frame| retouch::Mark {
+            family: Family::Tag36h11,
+            id: 7,
+            side_mm: 80.0,
+            pose: self.camera.truth(frame.sequence),
+        };
+        let mut rows = Vec::new();
+        for table in ["steady", "hide", "light", "shadow"] {
+            let Ok(config) = toml::from_str(&format!("{table} = {{}}")) else { continue };
+            let mut retouch = retouch::Retouch::new(&config, &scene, simd::best());
+            let times = self.time(|frame| {
+                retouch.frame(frame, &scene, &[mark(frame)], &lens);
+            });
+            rows.push(self.row("retouch", table, times, String::new()));
+        }
+        rows
+    }
+
     fn styles(&self) -> Vec<Row> {
         let mut rows = Vec::new();
         for &name in StyleName::value_variants() {
@@ -255,7 +298,7 @@ impl Bench {
             let frame = &self.frames[0];
             styler.restart();
             styler.draw(StyleInput { frame, layer: None }, &mut canvas);
-            let error = compare(&canvas, &style::reference(&config, &frame.color));
+            let error = Quality::of(&canvas, &style::reference(&config, &frame.color)).to_string();
             rows.push(self.row("style", name.to_string(), times, error));
         }
         rows
@@ -334,23 +377,4 @@ fn hit(ray: DVec3, [a, b, c]: &[DVec3; 3]) -> Option<f64> {
     let v = ray.dot(q) / det;
     let z = e2.dot(q) / det;
     (det != 0.0 && u >= 0.0 && v >= 0.0 && u + v <= 1.0 && z > 0.0).then_some(z)
-}
-
-/// PSNR, largest difference and share of pixels off by more than two levels.
-fn compare(a: &Rgb, b: &Rgb) -> String {
-    let (mut sum, mut worst, mut off, mut count) = (0.0f64, 0u8, 0u64, 0u64);
-    for (a, b) in a.planes.iter().zip(&b.planes) {
-        for (a, b) in a.rows().zip(b.rows()) {
-            for (a, b) in a.iter().zip(b) {
-                let miss = a.abs_diff(*b);
-                sum += f64::from(miss) * f64::from(miss);
-                worst = worst.max(miss);
-                off += u64::from(miss > 2);
-                count += 1;
-            }
-        }
-    }
-    let mean = sum / count.max(1) as f64;
-    let psnr = if mean == 0.0 { f64::INFINITY } else { 10.0 * libm::log10(255.0 * 255.0 / mean) };
-    format!("PSNR {psnr:.1} dB, max {worst}, over 2 levels {:.4} %", 100.0 * off as f64 / count.max(1) as f64)
 }

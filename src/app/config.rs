@@ -4,7 +4,7 @@
 use crate::geometry::Lens;
 use crate::pixels::Size;
 use crate::scene::{LightConfig, ModelConfig, Scene};
-use crate::{camera, display, style, track};
+use crate::{camera, display, retouch, style, track};
 use glam::DVec2;
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
@@ -25,6 +25,8 @@ pub struct Config {
     pub model: Vec<ModelConfig>,
     /// The light on the models.
     pub light: LightConfig,
+    /// What is done to the camera picture before it is drawn.
+    pub retouch: retouch::Config,
     /// How the picture is drawn.
     pub style: style::Config,
     /// Where it is shown.
@@ -97,6 +99,10 @@ impl Config {
             return Err(wrong(find_key(text, "threads"), format!("threads = {}: 1 to 64", config.threads)));
         }
         config.camera.check().map_err(|(key, reason)| wrong(find_key(text, key), reason))?;
+        config.retouch.validate().map_err(|e| {
+            let key = e.key.rsplit('.').next().unwrap_or("retouch");
+            wrong(find_key(text, key), e.to_string())
+        })?;
         config.style.validate().map_err(|e| wrong(find_key(text, "style"), e.to_string()))?;
         if let Some(lens) = &config.lens {
             lens.check().map_err(|reason| wrong(find_key(text, "lens"), reason))?;
@@ -250,6 +256,20 @@ mod tests {
             error(text).starts_with("visor.toml:4: camera.synthetic.id = 587: tag36h11 has ids 0 to 586")
         );
         assert!(error("[camera.synthetic]\nside_mm = inf\n").contains("camera.synthetic.side_mm = inf"));
+    }
+
+    #[test]
+    fn retouches_are_off_unless_their_table_is_there() {
+        let parse = |text: &str| Config::parse(text, Path::new("a")).expect("valid");
+        assert_eq!(parse("").retouch, retouch::Config::default());
+        let some = parse("[retouch.steady]\n[retouch.hide]\nmargin = 2.2\n[style.part]\nof = \"object\"\n");
+        assert!(some.retouch.steady.is_some() && some.retouch.light.is_none() && some.style.part.is_some());
+        let message = error("[retouch.shadow]\n\nstrength = 2\n");
+        assert!(
+            message.starts_with("visor.toml:3: retouch.shadow.strength = 2 is out of range: 0 to 1"),
+            "{message}"
+        );
+        assert!(error("[retouch.hide]\nmargins = 1\n").contains("`margin`"));
     }
 
     #[test]

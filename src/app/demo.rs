@@ -12,6 +12,7 @@ use crate::pixels::{Rgb, Size, picture, simd};
 use crate::scene::Scene;
 use crate::style::StyleName;
 use anyhow::Context;
+use clap::ValueEnum;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
@@ -19,7 +20,7 @@ use std::time::{Duration, Instant};
 ///
 /// Plays a clip of a table with a printed marker, drawn by the program itself with exact truth, through the
 /// whole pipeline, and prints frames per second, tracking, pose error and the time of every stage. Leaves
-/// DIR/sheet.png: three moments (rows) as input, conventional AR, and styled.
+/// DIR/sheet.png: one moment as the camera's picture, as conventional AR, and in every style.
 #[derive(clap::Args)]
 #[command(
     after_help = "Examples:\n  vernissage demo\n  vernissage demo --style plain --frames 30 --out /tmp/demo"
@@ -28,7 +29,7 @@ pub struct Args {
     /// Folder for the pictures
     #[arg(long, default_value = "demo", value_name = "DIR")]
     out: PathBuf,
-    /// Style of the measured frames and of the sheet's last column
+    /// Style of the measured frames
     #[arg(long, default_value = "cartoon", value_name = "S")]
     style: StyleName,
     /// Frames to play, from 1
@@ -45,8 +46,10 @@ impl Default for Args {
     }
 }
 
-/// Rows of the sheet.
-const MOMENTS: u64 = 3;
+/// Pictures in a row of the sheet.
+const COLUMNS: usize = 3;
+/// Frames that lead up to the sheet's moment: styles may carry their pattern from frame to frame.
+const LEAD: u64 = 4;
 
 pub fn run(args: Args) -> anyhow::Result<()> {
     std::fs::create_dir_all(&args.out)
@@ -81,10 +84,10 @@ struct Tally {
 
 fn play(args: &Args) -> anyhow::Result<()> {
     let (mut pipeline, mut camera) = stage(args.style, args.frames)?;
-    let (mut plain, _) = stage(StyleName::Plain, args.frames)?;
     let mut sink = Sink::Null;
     let mut frame = Frame::default();
-    let mut sheet = Sheet::new(camera.lens().size);
+    let moment = args.frames / 2;
+    let mut kept: Vec<Frame> = Vec::new();
     let mut tally = Tally {
         stages: std::array::from_fn(|_| Record::new(args.frames as usize)),
         latency: Record::new(args.frames as usize),
@@ -119,17 +122,32 @@ fn play(args: &Args) -> anyhow::Result<()> {
                 tally.compare(&pose.pose, &camera.truth(frame.sequence));
             }
         }
-        if sheet.wants(frame.sequence, args.frames) {
-            let styled = drawn.canvas.clone();
-            let plain = plain.draw_frame(&frame).canvas;
-            sheet.add_row([&frame.color, plain, &styled]);
+        if (moment.saturating_sub(LEAD)..=moment).contains(&frame.sequence) {
+            kept.push(frame.clone());
         }
         bar.inc(1);
     }
     bar.finish_and_clear();
+    drop(pipeline);
     let path = args.out.join("sheet.png");
-    picture::write_png(&path, &sheet.picture).context(Failed("cannot write the sheet"))?;
+    picture::write_png(&path, &contact_sheet(&kept)?).context(Failed("cannot write the sheet"))?;
     tally.print(args, camera.lens().size, &path)
+}
+
+/// The last of the frames as it came and in every style, in rows.
+fn contact_sheet(frames: &[Frame]) -> anyhow::Result<Rgb> {
+    let last = frames.last().context("the clip has no frames")?;
+    let styles = StyleName::value_variants();
+    let mut sheet = Sheet::new(last.size(), 1 + styles.len());
+    sheet.add(&last.color);
+    for &style in styles {
+        let (mut pipeline, _) = stage(style, 0)?;
+        for frame in &frames[..frames.len() - 1] {
+            pipeline.draw_frame(frame);
+        }
+        sheet.add(pipeline.draw_frame(last).canvas);
+    }
+    Ok(sheet.picture)
 }
 
 impl Tally {
@@ -172,8 +190,9 @@ impl Tally {
             ms(latency.percentile(0.99))
         ))?;
         say(format_args!(
-            "\npicture     {} (rows: three moments; columns: input, plain AR, {style})",
-            path.display()
+            "\npicture     {} (one moment: the camera's picture, then {})",
+            path.display(),
+            StyleName::value_variants().iter().map(|style| style.name()).collect::<Vec<_>>().join(", ")
         ))
     }
 }
@@ -185,38 +204,31 @@ fn spread(values: &mut [f64]) -> (f64, f64) {
     (median, values.last().copied().unwrap_or_default())
 }
 
-/// Pictures side by side on white.
+/// Pictures of one size side by side on white.
 struct Sheet {
     picture: Rgb,
     cell: Size,
-    rows: u64,
+    count: usize,
 }
 
 /// White between and around the sheet's pictures, px.
 const MARGIN: usize = 12;
 
 impl Sheet {
-    fn new(cell: Size) -> Self {
+    fn new(cell: Size, pictures: usize) -> Self {
         let size = |count: usize, side: usize| count * (side + MARGIN) + MARGIN;
-        let whole = Size::new(size(3, cell.width), size(MOMENTS as usize, cell.height));
-        Self { picture: Rgb::new(whole, [250; 3]), cell, rows: 0 }
+        let whole = Size::new(size(COLUMNS, cell.width), size(pictures.div_ceil(COLUMNS), cell.height));
+        Self { picture: Rgb::new(whole, [250; 3]), cell, count: 0 }
     }
 
-    /// Whether frame `sequence` of `frames` is one of the moments.
-    fn wants(&self, sequence: u64, frames: u64) -> bool {
-        self.rows < MOMENTS && sequence >= self.rows * frames / MOMENTS
-    }
-
-    fn add_row(&mut self, pictures: [&Rgb; 3]) {
-        let top = MARGIN + self.rows as usize * (self.cell.height + MARGIN);
-        for (column, picture) in pictures.into_iter().enumerate() {
-            let left = MARGIN + column * (self.cell.width + MARGIN);
-            for (to, from) in self.picture.planes.iter_mut().zip(&picture.planes) {
-                for y in 0..self.cell.height {
-                    to.row_mut(top + y)[left..][..self.cell.width].copy_from_slice(from.row(y));
-                }
+    fn add(&mut self, picture: &Rgb) {
+        let left = MARGIN + self.count % COLUMNS * (self.cell.width + MARGIN);
+        let top = MARGIN + self.count / COLUMNS * (self.cell.height + MARGIN);
+        for (to, from) in self.picture.planes.iter_mut().zip(&picture.planes) {
+            for y in 0..self.cell.height {
+                to.row_mut(top + y)[left..][..self.cell.width].copy_from_slice(from.row(y));
             }
         }
-        self.rows += 1;
+        self.count += 1;
     }
 }

@@ -99,11 +99,12 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     let (vertices, triangles) = (mesh.positions.len(), mesh.triangles.len());
     let model = Model {
         name: name.clone().into_owned(),
-        mesh,
+        mesh: mesh.into(),
         anchor: Anchor { family: Family::Tag36h11, id: None, side_mm: 1.0 },
         to_marker: DAffine3::IDENTITY,
         shading,
         cull_back: args.cull == Cull::Back,
+        secondary: false,
     };
     let scene = Scene { models: vec![model], light: Light::default() };
     let placed = [Placed { model: 0, to_camera }];

@@ -36,7 +36,8 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     ))?;
     let empty = scene.models.is_empty();
     let count = scene.models.len();
-    let pipeline = Pipeline::new(scene, lens, config.track, &config.style, simd::best());
+    let pipeline =
+        Pipeline::new(scene, lens, config.track, &config.style, simd::best()).retouched(&config.retouch);
     say(format_args!("\nno marker in view\n{}", pipeline.plan(View::Models(0))))?;
     if !empty {
         say(format_args!("markers in view\n{}", pipeline.plan(View::Models(count))))?;

@@ -64,6 +64,7 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     let mut pipeline = {
         let lens = source.lens().unwrap_or(config.lens(source.size()).0);
         Pipeline::new(scene, lens, config.track.clone(), &config.style, simd::best())
+            .retouched(&config.retouch)
     };
     let replayed = pool(threads)?.install(|| draw_all(source, &mut pipeline, &config, &args))?;
     match replayed {

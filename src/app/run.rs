@@ -60,7 +60,8 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     }
     let sink = Sink::open(&config.display, size)?;
     log::info!("camera {source}, display {sink}, style {}", config.style.name);
-    let pipeline = Pipeline::new(scene, lens, config.track.clone(), &config.style, simd::best());
+    let pipeline = Pipeline::new(scene, lens, config.track.clone(), &config.style, simd::best())
+        .retouched(&config.retouch);
     let trace = args.trace.as_deref().map(trace::Writer::create).transpose()?;
 
     let stop = Arc::new(AtomicBool::new(false));

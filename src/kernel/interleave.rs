@@ -2,7 +2,7 @@
 
 use crate::pixels::simd::{Level, dispatch};
 use crate::pixels::{Rgb, Size};
-use fearless_simd::Simd;
+use fearless_simd::{Simd, SimdBase, prelude::*, u8x16};
 use rayon::prelude::*;
 
 /// Splits rows of R, G, B bytes into `picture`, which is fitted to `size`. `bytes` holds `3 * size.area()`
@@ -25,8 +25,21 @@ pub fn split(level: Level, bytes: &[u8], size: Size, picture: &mut Rgb) {
 }
 
 #[inline(always)]
-fn split_row<S: Simd>(_simd: S, from: &[u8], r: &mut [u8], g: &mut [u8], b: &mut [u8]) {
-    for (((from, r), g), b) in from.as_chunks::<3>().0.iter().zip(r).zip(g).zip(b) {
+fn split_row<S: Simd>(simd: S, from: &[u8], r: &mut [u8], g: &mut [u8], b: &mut [u8]) {
+    let picks = PICKS.map(|part| part.map(|pick| u8x16::simd_from(simd, pick)));
+    let whole = r.len() / LANES;
+    let blocks = from.as_chunks::<{ 3 * LANES }>().0.iter().zip(r.as_chunks_mut::<LANES>().0);
+    let blocks = blocks.zip(g.as_chunks_mut::<LANES>().0).zip(b.as_chunks_mut::<LANES>().0);
+    for (((from, r), g), b) in blocks {
+        let parts = [0, 1, 2].map(|part| u8x16::from_slice(simd, &from[LANES * part..][..LANES]));
+        for (channel, to) in [r, g, b].into_iter().enumerate() {
+            let [x, y, z] =
+                [0, 1, 2].map(|part| simd.swizzle_dyn_precise_u8x16(parts[part], picks[channel][part]));
+            (x | y | z).store_slice(to);
+        }
+    }
+    let rest = from.as_chunks::<3>().0.iter().zip(r).zip(g).zip(b).skip(LANES * whole);
+    for (((from, r), g), b) in rest {
         [*r, *g, *b] = *from;
     }
 }
@@ -48,11 +61,50 @@ pub fn join(level: Level, picture: &Rgb, bytes: &mut [u8]) {
 }
 
 #[inline(always)]
-fn join_row<S: Simd>(_simd: S, r: &[u8], g: &[u8], b: &[u8], to: &mut [u8]) {
-    for (((to, &r), &g), &b) in to.as_chunks_mut::<3>().0.iter_mut().zip(r).zip(g).zip(b) {
+fn join_row<S: Simd>(simd: S, r: &[u8], g: &[u8], b: &[u8], to: &mut [u8]) {
+    let places = PLACES.map(|part| part.map(|place| u8x16::simd_from(simd, place)));
+    let whole = r.len() / LANES;
+    let blocks = to.as_chunks_mut::<{ 3 * LANES }>().0.iter_mut().zip(r.as_chunks::<LANES>().0);
+    for (((to, r), g), b) in blocks.zip(g.as_chunks::<LANES>().0).zip(b.as_chunks::<LANES>().0) {
+        let channels = [r, g, b].map(|channel| u8x16::from_slice(simd, channel));
+        for (part, to) in to.as_chunks_mut::<LANES>().0.iter_mut().enumerate() {
+            let [x, y, z] = [0, 1, 2]
+                .map(|channel| simd.swizzle_dyn_precise_u8x16(channels[channel], places[part][channel]));
+            (x | y | z).store_slice(to);
+        }
+    }
+    let rest = to.as_chunks_mut::<3>().0.iter_mut().zip(r).zip(g).zip(b).skip(LANES * whole);
+    for (((to, &r), &g), &b) in rest {
         *to = [r, g, b];
     }
 }
+
+/// Pixels that are moved at a time: 48 bytes, three vectors.
+const LANES: usize = 16;
+/// An index that picks nothing: the lane becomes 0.
+const NONE: u8 = 255;
+
+/// Of channel c and part p of 48 interleaved bytes: which byte of the part each pixel's channel is.
+const PICKS: [[[u8; LANES]; 3]; 3] = {
+    let mut picks = [[[NONE; LANES]; 3]; 3];
+    let mut byte = 0;
+    while byte < 3 * LANES {
+        picks[byte % 3][byte / LANES][byte / 3] = (byte % LANES) as u8;
+        byte += 1;
+    }
+    picks
+};
+
+/// Of part p and channel c: which pixel's channel each interleaved byte is.
+const PLACES: [[[u8; LANES]; 3]; 3] = {
+    let mut places = [[[NONE; LANES]; 3]; 3];
+    let mut byte = 0;
+    while byte < 3 * LANES {
+        places[byte / LANES][byte % 3][byte % LANES] = (byte / 3) as u8;
+        byte += 1;
+    }
+    places
+};
 
 #[cfg(test)]
 mod tests {

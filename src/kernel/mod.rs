@@ -11,6 +11,7 @@ pub mod contrast;
 pub mod enlarge;
 pub mod gaussian;
 pub mod interleave;
+pub mod mix;
 pub mod photometric;
 pub mod pyramid;
 pub mod sobel;

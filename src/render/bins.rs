@@ -4,6 +4,7 @@
 use super::clip::{self, Corner};
 use super::vertex::{Vertex, normal_matrix, unit};
 use super::{Instance, View};
+use crate::frame::Needs;
 use crate::pixels::{TILE, TileGrid};
 use crate::scene::{Model, Shading};
 use glam::{DVec2, DVec3};
@@ -115,7 +116,7 @@ impl Chunk {
         let vertices = &view.vertices[instance.first_vertex..][..mesh.positions.len()];
         let normals = normal_matrix(&instance.placed.to_camera);
         let towards = view.scene.light.direction.as_dvec3();
-        let flat = matches!(model.shading, Shading::Flat);
+        let flat = matches!(view.look.shading.unwrap_or(model.shading), Shading::Flat);
         let (nearest_far, bends) = (1.0 / view.camera.far, view.field.bends());
         for t in self.triangles.clone() {
             let corners = mesh.triangles[t];
@@ -205,7 +206,8 @@ impl Chunk {
         let (x2, y2) = (i64::from(c[0]), i64::from(c[1]));
         let area = (x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0);
         // positive = clockwise as seen, the back
-        if area == 0 || (model.cull_back && area > 0) {
+        let cull_back = model.cull_back || view.look.needs.includes(Needs::SILHOUETTE);
+        if area == 0 || (cull_back && area > 0) {
             return false;
         }
         if area < 0 {

@@ -123,6 +123,57 @@ pub(super) fn cut(
     }
 }
 
+/// Cuts and splits one line as the edges of triangles are; `emit` receives the pieces.
+pub(super) fn cut_line(ends: [DVec3; 2], near: f64, field: &Field, emit: &mut dyn FnMut(&Vertex, &Vertex)) {
+    let [a, b] = ends;
+    let (low, high) = field.bounds();
+    let (mut from, mut to) = (0.0, 1.0);
+    let planes: [&dyn Fn(DVec3) -> f64; 5] =
+        [&|p| p.z - near, &|p| p.x - low.x * p.z, &|p| high.x * p.z - p.x, &|p| p.y - low.y * p.z, &|p| {
+            high.y * p.z - p.y
+        }];
+    for plane in planes {
+        let (da, db) = (plane(a), plane(b));
+        if da < 0.0 && db < 0.0 {
+            return;
+        }
+        if da < 0.0 {
+            from = f64::max(from, da / (da - db));
+        } else if db < 0.0 {
+            to = f64::min(to, da / (da - db));
+        }
+    }
+    let seen = |t: f64| {
+        let mut point = a * (1.0 - t) + b * t;
+        point.z = point.z.max(near);
+        let corner = Corner { point, normal: DVec3::ZERO, intensity: 0.0, uv: DVec2::ZERO };
+        corner.project(near, field).map(|vertex| Seen { corner, vertex })
+    };
+    if from <= to
+        && let (Some(a), Some(b)) = (seen(from), seen(to))
+    {
+        split_line([a, b], near, field, MAX_SPLITS, emit);
+    }
+}
+
+fn split_line(
+    [a, b]: [Seen; 2],
+    near: f64,
+    field: &Field,
+    left: u32,
+    emit: &mut dyn FnMut(&Vertex, &Vertex),
+) {
+    let half = (left > 0 && field.bends()).then(|| middle(&a, &b, near, field)).flatten();
+    match half {
+        _ if off_picture([&a, &b, &b], field) => (),
+        None => emit(&a.vertex, &b.vertex),
+        Some(half) => {
+            split_line([a, half], near, field, left - 1, emit);
+            split_line([half, b], near, field, left - 1, emit);
+        }
+    }
+}
+
 /// Whether an edge is long enough on the picture for the lens to bend it; cheap and on the safe side.
 pub(super) fn may_bend(a: &Vertex, b: &Vertex, field: &Field) -> bool {
     let (dx, dy) = (b.x - a.x, b.y - a.y);

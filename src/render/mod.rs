@@ -7,6 +7,9 @@
 //! 4. `raster`: one task a tile walks its lists: exact integer edges, 1/z and attributes of the unsnapped
 //!    triangle, nearest and second-nearest surface in the same pass.
 //! 5. `resolve`: covered tiles are written into the layer; tiles covered last time only are cleared.
+//! 6. `silhouette`: thick outlines are drawn over the depth, where they are asked for.
+//!
+//! Apart from these, `particles` turns models into points for styles that ask for them.
 //!
 //! Coverage follows vertices snapped to 1/256 px with the top-left rule; depth and attributes come from the
 //! unsnapped vertices. Equal depths keep the first submitted. The same bytes for every thread count and
@@ -15,9 +18,11 @@
 mod bins;
 mod clip;
 mod field;
+mod particles;
 mod raster;
 mod resolve;
 mod shade;
+mod silhouette;
 mod vertex;
 
 use crate::frame::{Layer, Needs};
@@ -28,10 +33,14 @@ use crate::scene::{Scene, Shading};
 use bins::Chunk;
 use field::Field;
 use glam::DAffine3;
+use particles::Particles;
 use raster::Slot;
 use rayon::prelude::*;
 use shade::Surface;
+use silhouette::Silhouette;
 use vertex::Vertex;
+
+pub use particles::Scatter;
 
 /// The camera as the renderer sees it.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -51,6 +60,10 @@ pub struct Look {
     pub needs: Needs,
     /// Shading in place of each model's own.
     pub shading: Option<Shading>,
+    /// Width of silhouette lines, px.
+    pub line_width: f64,
+    /// How models become particles.
+    pub scatter: Scatter,
 }
 
 impl From<Needs> for Look {
@@ -67,6 +80,24 @@ pub struct Placed {
     pub model: usize,
     /// Mesh coordinates → camera space, mm.
     pub to_camera: DAffine3,
+}
+
+/// Which of the placed models are drawn.
+#[derive(Clone, Copy)]
+enum Part {
+    Whole,
+    Primary,
+    Secondary,
+}
+
+impl Part {
+    fn holds(self, secondary: bool) -> bool {
+        match self {
+            Part::Whole => true,
+            Part::Primary => !secondary,
+            Part::Secondary => secondary,
+        }
+    }
 }
 
 /// Largest picture side: snapped coordinates of the picture stay far below the guard band.
@@ -90,6 +121,12 @@ pub struct Renderer {
     chunks: Vec<Chunk>,
     slots: Vec<Slot>,
     slot_of: Vec<u32>,
+    silhouette: Silhouette,
+    /// Draws the secondary models where they are apart.
+    secondary: Option<Box<Renderer>>,
+    particles: Particles,
+    /// Where its layer goes when it is done.
+    spare: Option<Box<Layer>>,
 }
 
 /// One placed model of this frame: where its vertices, surfaces and chunks are.
@@ -110,6 +147,7 @@ struct View<'a> {
     instances: &'a [Instance],
     surfaces: &'a [Surface],
     vertices: &'a [Vertex],
+    look: Look,
 }
 
 impl Renderer {
@@ -127,7 +165,16 @@ impl Renderer {
             chunks: Vec::new(),
             slots: Vec::new(),
             slot_of: Vec::new(),
+            silhouette: Silhouette::default(),
+            secondary: None,
+            particles: Particles::default(),
+            spare: None,
         }
+    }
+
+    /// What was drawn last.
+    pub fn layer(&self) -> &Layer {
+        &self.layer
     }
 
     /// Draws the placed models: only the products that `look` needs, only the tiles they touch.
@@ -146,6 +193,27 @@ impl Renderer {
         look: impl Into<Look>,
     ) -> &Layer {
         let look = look.into();
+        // between frames the secondary models' layer is part of ours; to be drawn it goes back to its renderer
+        if let (Some(mut layer), Some(renderer)) = (self.layer.secondary.take(), &mut self.secondary) {
+            std::mem::swap(&mut *layer, &mut renderer.layer);
+            self.spare = Some(layer);
+        }
+        if !look.needs.includes(Needs::SECONDARY) {
+            self.draw_part(scene, placed, camera, look, Part::Whole);
+            return &self.layer;
+        }
+        self.draw_part(scene, placed, camera, look, Part::Primary);
+        let level = self.level;
+        let renderer = self.secondary.get_or_insert_with(|| Box::new(Renderer::new(level)));
+        renderer.draw_part(scene, placed, camera, Needs::NORMAL.into(), Part::Secondary);
+        self.layer.touched.union(&renderer.layer.touched);
+        let mut layer = self.spare.take().unwrap_or_default();
+        std::mem::swap(&mut *layer, &mut renderer.layer);
+        self.layer.secondary = Some(layer);
+        &self.layer
+    }
+
+    fn draw_part(&mut self, scene: &Scene, placed: &[Placed], camera: &Camera, look: Look, part: Part) {
         let needs = look.needs;
         let size = camera.lens.size;
         let grid = TileGrid::new(size);
@@ -157,13 +225,18 @@ impl Renderer {
         self.layer.extent = [f32::INFINITY, f32::NEG_INFINITY];
         self.slot_of.clear();
         self.slot_of.resize(grid.count(), u32::MAX);
+        self.silhouette.clear();
         let usable = camera.near > 0.0 && camera.far > camera.near && camera.far.is_finite();
+        let drawn = size.area() > 0 && size.width.max(size.height) <= MAX_SIDE;
+        let drawn = drawn && usable && needs != Needs::NOTHING;
         let mut used = 0;
-        if usable && needs != Needs::NOTHING && size.area() > 0 && size.width.max(size.height) <= MAX_SIDE {
+        if drawn {
             if self.field.as_ref().is_none_or(|field| *field.lens() != camera.lens) {
                 self.field = Some(Field::new(camera.lens));
             }
-            used = self.rasterise(scene, placed, camera, grid, &look);
+            if needs.without(Needs::PARTICLES) != Needs::NOTHING {
+                used = self.rasterise(scene, placed, camera, grid, look, part);
+            }
         }
         for (k, slot) in self.slots[..used].iter().enumerate() {
             if slot.covered {
@@ -172,7 +245,13 @@ impl Renderer {
             }
         }
         resolve::resolve(self.level, &mut self.layer, grid, &self.slots, &self.slot_of, &self.previous);
-        &self.layer
+        if needs.includes(Needs::SILHOUETTE) {
+            self.silhouette.draw(&mut self.layer, grid, &self.previous, look.line_width, camera.far);
+        }
+        self.layer.particles.clear();
+        if drawn && needs.includes(Needs::PARTICLES) {
+            self.scatter(scene, placed, camera, grid, look.scatter);
+        }
     }
 
     /// Gives the layer's planes the size that `needs` wants, all background when anything changed.
@@ -183,7 +262,7 @@ impl Renderer {
         let none = Size::new(0, 0);
         let when = |wanted: bool| if wanted { size } else { none };
         let color = when(needs.includes(Needs::COLOR));
-        let depth = when(needs != Needs::NOTHING);
+        let depth = when(needs.without(Needs::PARTICLES) != Needs::NOTHING);
         let normal = when(needs.includes(Needs::NORMAL));
         let second = when(needs.includes(Needs::SECOND_LAYER));
         for plane in &mut self.layer.color.planes {
@@ -200,6 +279,8 @@ impl Renderer {
                 plane.fill(0.0);
             }
         }
+        self.layer.silhouette.resize(when(needs.includes(Needs::SILHOUETTE)), 0);
+        self.layer.silhouette.fill(0);
         let grid = TileGrid::new(size);
         self.layer.touched.reset(grid);
         self.previous.reset(grid);
@@ -211,6 +292,30 @@ impl Renderer {
         self.shape = Some((size, needs));
     }
 
+    /// The models as particles.
+    fn scatter(
+        &mut self,
+        scene: &Scene,
+        placed: &[Placed],
+        camera: &Camera,
+        grid: TileGrid,
+        scatter: Scatter,
+    ) {
+        let Self { layer, field, particles, .. } = self;
+        let Some(field) = field.as_ref() else { return };
+        particles.draw(scene, placed, camera, field, scatter, &mut layer.particles);
+        for particle in &layer.particles {
+            let at = |v: f32, length: usize| ((v + 0.5) as usize).min(length - 1) / TILE;
+            let size = camera.lens.size;
+            let (column, row) = (at(particle.x, size.width), at(particle.y, size.height));
+            layer.touched.insert(row * grid.columns() + column);
+        }
+        let depth = |particle: Option<&crate::frame::Particle>| particle.map(|particle| particle.z);
+        if let (Some(far), Some(near)) = (depth(layer.particles.first()), depth(layer.particles.last())) {
+            layer.extent = [layer.extent[0].min(near), layer.extent[1].max(far)];
+        }
+    }
+
     /// Steps 1 to 4; returns how many slots hold tiles.
     fn rasterise(
         &mut self,
@@ -218,15 +323,31 @@ impl Renderer {
         placed: &[Placed],
         camera: &Camera,
         grid: TileGrid,
-        look: &Look,
+        look: Look,
+        part: Part,
     ) -> usize {
-        let Self { level, layer, field, vertices, instances, surfaces, chunks, slots, slot_of, .. } = self;
+        let Self {
+            level,
+            layer,
+            field,
+            vertices,
+            instances,
+            surfaces,
+            chunks,
+            slots,
+            slot_of,
+            silhouette,
+            ..
+        } = self;
         let Some(field) = field.as_ref() else { return 0 };
         instances.clear();
         surfaces.clear();
         let (mut vertex_count, mut triangle_count) = (0, 0);
         for &placed in placed {
             let Some(model) = scene.models.get(placed.model) else { continue };
+            if !part.holds(model.secondary) {
+                continue;
+            }
             instances.push(Instance { placed, first_vertex: vertex_count, first_surface: surfaces.len() });
             let shading = look.shading.unwrap_or(model.shading);
             Surface::push_all(placed.model, model, shading, &scene.light, surfaces);
@@ -240,7 +361,10 @@ impl Renderer {
             vertex::place(mesh, &instance.placed.to_camera, camera, field, &scene.light, look.needs, out);
         }
         layer.extent = extent(vertices, camera);
-        let view = View { scene, camera, field, grid, instances, surfaces, vertices };
+        let view = View { scene, camera, field, grid, instances, surfaces, vertices, look };
+        if look.needs.includes(Needs::SILHOUETTE) {
+            silhouette.find(&view);
+        }
 
         let length = CHUNK.max(triangle_count.div_ceil(MAX_CHUNKS));
         let mut used_chunks = 0;

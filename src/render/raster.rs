@@ -86,7 +86,8 @@ fn draw_records<S: Simd>(simd: S, view: &View<'_>, chunks: &[Chunk], slot: &mut 
                 corner(view, chunk, record, c),
             ];
             let surface = &view.surfaces[record.surface as usize];
-            let paint = Paint { surface, texture: surface.texture(view.scene), face: record.face };
+            let light = view.scene.light.direction.to_array();
+            let paint = Paint { surface, texture: surface.texture(view.scene), face: record.face, light };
             draw_triangle(simd, &area, &corners, &paint, far, slot);
         }
     }
@@ -115,6 +116,7 @@ struct Paint<'a> {
     surface: &'a Surface,
     texture: Option<&'a Rgb>,
     face: f32,
+    light: [f32; 3],
 }
 
 #[inline(always)]
@@ -270,8 +272,9 @@ fn draw_triangle<S: Simd>(
 
     let [a, b, c] = corners;
     let intensity = plane(corners, [a.intensity, b.intensity, c.intensity]);
+    let three_steps = color && paint.surface.kind == Kind::ThreeSteps;
     let mut normal = [[0.0; 3]; 3];
-    if normals {
+    if normals || three_steps {
         for (k, out) in normal.iter_mut().enumerate() {
             *out = plane(corners, [a.normal[k], b.normal[k], c.normal[k]]);
         }
@@ -348,6 +351,17 @@ fn draw_triangle<S: Simd>(
                 let z = f32x8::splat(simd, 1.0) / here;
                 let light = match paint.surface.kind {
                     Kind::Flat => f32x8::splat(simd, paint.face),
+                    Kind::ThreeSteps => {
+                        let nx = blend(simd, b1, b2, normal[0]);
+                        let ny = blend(simd, b1, b2, normal[1]);
+                        let nz = blend(simd, b1, b2, normal[2]);
+                        let [lx, ly, lz] = paint.light;
+                        let length = (nx * nx + ny * ny + nz * nz).sqrt();
+                        let towards = nx * lx + ny * ly + nz * lz;
+                        let (dark, middle) = (f32x8::splat(simd, 0.1), f32x8::splat(simd, 0.4));
+                        let light = towards.simd_gt(length * 0.2).select(middle, dark);
+                        towards.simd_gt(length * 0.7).select(f32x8::splat(simd, 1.0), light)
+                    }
                     _ => unit_range(simd, blend(simd, b1, b2, intensity) * z),
                 };
                 let light = match paint.surface.kind {

@@ -10,6 +10,7 @@ pub(super) enum Kind {
     Smooth,
     Flat,
     Toon,
+    ThreeSteps,
 }
 
 /// One material of one placed model, ready for shading.
@@ -39,12 +40,13 @@ impl Surface {
             Shading::Smooth => (Kind::Smooth, [0.0; 32]),
             Shading::Flat => (Kind::Flat, [0.0; 32]),
             Shading::Toon { steps, base } => (Kind::Toon, ramp(steps, base)),
+            Shading::ThreeSteps => (Kind::ThreeSteps, [0.0; 32]),
         };
         let share = |v: f32| if v >= 0.0 { v.min(1.0) } else { 0.0 };
         let surface = |color: Vec3, texture| Surface {
             kind,
-            color: color.to_array().map(|v| share(v) * 255.0),
-            ambient: share(light.ambient),
+            color: (color * light.tint).to_array().map(|v| share(v) * 255.0),
+            ambient: if kind == Kind::ThreeSteps { 0.0 } else { share(light.ambient) },
             ramp,
             texture,
         };

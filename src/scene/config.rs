@@ -48,6 +48,10 @@ pub struct ModelConfig {
     /// Leaves out back faces; only for closed models.
     #[serde(default)]
     pub cull_back: bool,
+    /// Secondary geometry: what is inside other models. Styles that look through surfaces (illustrative) draw it in a
+    /// color of its own and always visibly; the others as any model.
+    #[serde(default)]
+    pub secondary: bool,
 }
 
 /// Which printed marker.
@@ -160,7 +164,7 @@ impl LightConfig {
     /// A direction that is zero or not finite shines from the viewer.
     fn to_light(self) -> Light {
         let direction = Vec3::from(self.direction).try_normalize().unwrap_or(Vec3::NEG_Z);
-        Light { direction, ambient: self.ambient.clamp(0.0, 1.0) }
+        Light { direction, ambient: self.ambient.clamp(0.0, 1.0), ..Light::default() }
     }
 }
 
@@ -191,7 +195,7 @@ impl ModelConfig {
         let to_marker = self.to_marker(&mesh);
         Ok(Model {
             name: self.file.clone(),
-            mesh,
+            mesh: mesh.into(),
             anchor: Anchor { family: self.marker.family, id: self.marker.id, side_mm: self.marker.side_mm },
             to_marker,
             shading: match self.shading {
@@ -203,6 +207,7 @@ impl ModelConfig {
                 },
             },
             cull_back: self.cull_back,
+            secondary: self.secondary,
         })
     }
 

@@ -1,5 +1,6 @@
 //! Triangles, vertices and materials of one model.
 
+use super::edges::{Edges, KeptEdges};
 use crate::pixels::Rgb;
 use glam::{DVec3, Vec2, Vec3};
 use std::sync::Arc;
@@ -20,6 +21,8 @@ pub struct Mesh {
     pub material_of: Vec<u16>,
     /// The materials.
     pub materials: Vec<Material>,
+    /// Room for the edges: read them by [`Mesh::edges`].
+    pub kept_edges: KeptEdges,
 }
 
 /// Surface color: a base color, perhaps times a texture.
@@ -56,7 +59,13 @@ impl Mesh {
             triangles: vec![[0, 1, 2], [0, 2, 3]],
             material_of: vec![0; 2],
             materials: vec![material],
+            kept_edges: KeptEdges::default(),
         }
+    }
+
+    /// Which triangles share which edges; found at the first call, so the mesh must not change after it.
+    pub fn edges(&self) -> &Edges {
+        self.kept_edges.of(self)
     }
 
     /// Gives every material this color.

@@ -5,16 +5,19 @@
 
 mod builtin;
 mod config;
+mod edges;
 mod mesh;
 mod obj;
 
 pub use builtin::{BUILTIN, builtin};
 pub use config::{AnchorConfig, LightConfig, ModelConfig, SceneError};
+pub use edges::{Edge, Edges, KeptEdges};
 pub use mesh::{Material, Mesh};
 pub use obj::{Limits, ModelError};
 
 use crate::marker::Family;
 use glam::{DAffine3, DVec3, Vec3};
+use std::sync::Arc;
 
 /// Everything that is to be drawn.
 #[derive(Clone, Debug, Default)]
@@ -31,7 +34,7 @@ pub struct Model {
     /// What it is called in messages and plans.
     pub name: String,
     /// The triangles.
-    pub mesh: Mesh,
+    pub mesh: Arc<Mesh>,
     /// The marker it stands on.
     pub anchor: Anchor,
     /// Mesh coordinates → marker space in mm.
@@ -40,6 +43,8 @@ pub struct Model {
     pub shading: Shading,
     /// Whether back faces are dropped.
     pub cull_back: bool,
+    /// Whether it is secondary geometry: what is inside, for styles that look through surfaces.
+    pub secondary: bool,
 }
 
 /// Which printed marker carries a model.
@@ -51,6 +56,13 @@ pub struct Anchor {
     pub id: Option<u32>,
     /// Printed side of the black border's outer edge, mm.
     pub side_mm: f64,
+}
+
+impl Anchor {
+    /// Whether it is this marker.
+    pub fn takes(&self, family: Family, id: u32) -> bool {
+        self.family == family && self.id.is_none_or(|own| own == id)
+    }
 }
 
 /// How intensity becomes color (contracts: `draw`).
@@ -67,6 +79,9 @@ pub enum Shading {
         /// Lowest level, 0..1.
         base: f32,
     },
+    /// The three steps of Chen, Turk & MacIntyre 2008: the normal is interpolated and made unit length per pixel;
+    /// intensity above .7 gives 1, above .2 gives .4, else .1. Ambient light has no part in it.
+    ThreeSteps,
 }
 
 /// One directional light with an ambient part, in camera space.
@@ -76,11 +91,13 @@ pub struct Light {
     pub direction: Vec3,
     /// Share of light that reaches every surface, 0..1.
     pub ambient: f32,
+    /// What the models' colors are multiplied by: the light's own color, 1 = white.
+    pub tint: Vec3,
 }
 
 impl Default for Light {
     fn default() -> Self {
         let towards = DVec3::new(-0.4, -0.6, -1.0);
-        Self { direction: (towards / towards.length()).as_vec3(), ambient: 0.0 }
+        Self { direction: (towards / towards.length()).as_vec3(), ambient: 0.0, tint: Vec3::ONE }
     }
 }

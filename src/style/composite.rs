@@ -3,18 +3,24 @@
 
 use super::StyleInput;
 use crate::frame::Layer;
-use crate::pixels::{Rgb, Size};
+use crate::pixels::{Rect, Rgb, Size, TileGrid};
+
+/// The touched tiles of a layer; none of a layer of another size than the picture.
+pub fn touched(layer: &Layer, size: Size) -> impl Iterator<Item = Rect> {
+    let grid = layer.grid.filter(|grid| layer.depth.size() == size && *grid == TileGrid::new(size));
+    let count = grid.map_or(0, |grid| grid.count());
+    let tiles = layer.touched.iter().take_while(move |&tile| tile < count);
+    tiles.filter_map(move |tile| Some(grid?.rect(tile)))
+}
 
 /// Puts the layer over `picture`: its color wherever its depth is finite. Looks only at touched tiles; a layer of
 /// another size is left out.
 pub fn over(layer: &Layer, picture: &mut Rgb) {
-    let Some(grid) = layer.grid else { return };
     let size = picture.size();
-    if layer.depth.size() != size || layer.color.size() != size || !covers(&grid, size) {
+    if layer.color.size() != size {
         return;
     }
-    for tile in layer.touched.iter().take_while(|&tile| tile < grid.count()) {
-        let area = grid.rect(tile);
+    for area in touched(layer, size) {
         for y in area.y0..area.y1 {
             let depth = &layer.depth.row(y)[area.x0..area.x1];
             for (to, from) in picture.planes.iter_mut().zip(&layer.color.planes) {
@@ -28,8 +34,36 @@ pub fn over(layer: &Layer, picture: &mut Rgb) {
     }
 }
 
-fn covers(grid: &crate::pixels::TileGrid, size: Size) -> bool {
-    *grid == crate::pixels::TileGrid::new(size)
+/// Whitens `picture` wherever the layer covers it.
+pub fn whiten(layer: &Layer, picture: &mut Rgb) {
+    for area in touched(layer, picture.size()) {
+        for y in area.y0..area.y1 {
+            let depth = &layer.depth.row(y)[area.x0..area.x1];
+            for plane in &mut picture.planes {
+                for (to, &z) in plane.row_mut(y)[area.x0..area.x1].iter_mut().zip(depth) {
+                    *to = if z < f32::INFINITY { 255 } else { *to };
+                }
+            }
+        }
+    }
+}
+
+/// Blackens `picture` wherever the layer has a silhouette line.
+pub fn outline(layer: &Layer, picture: &mut Rgb) {
+    let size = picture.size();
+    if layer.silhouette.size() != size {
+        return;
+    }
+    for area in touched(layer, size) {
+        for y in area.y0..area.y1 {
+            let lines = &layer.silhouette.row(y)[area.x0..area.x1];
+            for plane in &mut picture.planes {
+                for (to, &line) in plane.row_mut(y)[area.x0..area.x1].iter_mut().zip(lines) {
+                    *to &= !line;
+                }
+            }
+        }
+    }
 }
 
 /// The picture a post-processing style filters: the camera's own when nothing is in view, else `canvas` with the

@@ -1,6 +1,7 @@
 //! Settings of all styles: what the scene file's `[style]` table and `--set key=value` reach.
 
-use super::{bilateral, cartoon, illustrative, sketchy, watercolor};
+use super::{bilateral, cartoon, illustrative, pointillism, sketchy, watercolor};
+use crate::retouch::{RangeError, part};
 use serde::{Deserialize, Serialize};
 
 /// The styles by name.
@@ -20,6 +21,8 @@ pub enum StyleName {
     Watercolor,
     /// Black edges and cross-hatching on paper.
     Illustrative,
+    /// Thousands of small brush strokes.
+    Pointillism,
     /// Blurred colors on paper under pencil strokes along the silhouettes.
     Sketchy,
 }
@@ -34,6 +37,7 @@ impl StyleName {
             StyleName::SketchLike => "sketch-like",
             StyleName::Watercolor => "watercolor",
             StyleName::Illustrative => "illustrative",
+            StyleName::Pointillism => "pointillism",
             StyleName::Sketchy => "sketchy",
         }
     }
@@ -46,12 +50,19 @@ impl std::fmt::Display for StyleName {
 }
 
 /// Which style is drawn, and each style's settings.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Config {
     /// The style to draw: "plain", "cartoon", "bilateral-cartoon", "sketch-like", "watercolor",
-    /// "illustrative" or "sketchy". Default "cartoon".
+    /// "illustrative", "pointillism" or "sketchy". Default "cartoon".
     pub name: StyleName,
+    /// Time over which one style fades into the next, ms, 0 (at once) to 5000. Default 300.
+    pub fade_ms: u32,
+    /// Styles that a visitor steps through, by name; they are built ahead. Default [] (only the one).
+    pub cycle: Vec<StyleName>,
+    /// Styles only part of the picture, the rest shows the models over the camera picture. Default: none, all of it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub part: Option<part::Config>,
     /// Settings of the cartoon style.
     pub cartoon: cartoon::Config,
     /// Settings of the bilateral cartoon style; the table is named as the style.
@@ -64,8 +75,28 @@ pub struct Config {
     pub watercolor: watercolor::Config,
     /// Settings of the illustrative style.
     pub illustrative: illustrative::Config,
+    /// Settings of the pointillism style.
+    pub pointillism: pointillism::Config,
     /// Settings of the sketchy style.
     pub sketchy: sketchy::Config,
+}
+
+impl Default for Config {
+    fn default() -> Self {
+        Self {
+            name: StyleName::default(),
+            fade_ms: 300,
+            cycle: Vec::new(),
+            part: None,
+            cartoon: Default::default(),
+            bilateral_cartoon: Default::default(),
+            sketch_like: Default::default(),
+            watercolor: Default::default(),
+            illustrative: Default::default(),
+            pointillism: Default::default(),
+            sketchy: Default::default(),
+        }
+    }
 }
 
 /// Why a style setting is refused.
@@ -115,16 +146,27 @@ pub enum ConfigError {
         /// The allowed range.
         expected: &'static str,
     },
+    /// A fade lasts too long.
+    #[error("style.fade_ms = {0} is out of range: 0 to 5000 ms")]
+    Fade(u32),
+    /// A setting of the styled part is outside its range.
+    #[error(transparent)]
+    Part(#[from] RangeError),
 }
 
 impl Config {
     /// Checks every setting of every style against its range.
     pub fn validate(&self) -> Result<(), ConfigError> {
+        if self.fade_ms > 5000 {
+            return Err(ConfigError::Fade(self.fade_ms));
+        }
+        self.part.map_or(Ok(()), |part| part.validate())?;
         self.cartoon.validate()?;
         self.bilateral_cartoon.validate()?;
         self.sketch_like.validate()?;
         self.watercolor.validate()?;
         self.illustrative.validate()?;
+        self.pointillism.validate()?;
         self.sketchy.validate()
     }
 
@@ -151,6 +193,10 @@ impl Config {
             StyleName::Illustrative => {
                 self.illustrative = edited(self.name, &self.illustrative, key, value)?;
                 self.illustrative.validate()
+            }
+            StyleName::Pointillism => {
+                self.pointillism = edited(self.name, &self.pointillism, key, value)?;
+                self.pointillism.validate()
             }
             StyleName::Sketchy => {
                 self.sketchy = edited(self.name, &self.sketchy, key, value)?;
@@ -223,6 +269,8 @@ mod tests {
         config.name = StyleName::Plain;
         assert!(config.set("alpha", "1").expect_err("plain").to_string().contains("no settings"));
         assert!(toml::from_str::<Config>("nme = 'plain'").is_err());
+        let long: Config = toml::from_str("fade_ms = 6000").expect("a number");
+        assert!(long.validate().expect_err("too long").to_string().contains("fade_ms = 6000"));
     }
 
     #[test]

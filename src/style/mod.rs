@@ -10,6 +10,7 @@ pub mod composite;
 mod config;
 pub mod illustrative;
 pub mod plain;
+pub mod pointillism;
 pub mod sketchy;
 pub mod watercolor;
 
@@ -41,7 +42,8 @@ pub trait Style {
     fn draw(&mut self, input: StyleInput<'_>, out: &mut Rgb);
 }
 
-/// The style that `config` names in plain f64, over an augmented picture: slow, for tests and benchmarks.
+/// The style that `config` names in plain f64, over a picture with no model in view (for cartoon and watercolor,
+/// which filter camera picture and models alike, an augmented one): slow, for tests and benchmarks.
 pub fn reference(config: &Config, augmented: &Rgb) -> Rgb {
     match config.name {
         StyleName::Plain => augmented.clone(),
@@ -50,6 +52,7 @@ pub fn reference(config: &Config, augmented: &Rgb) -> Rgb {
         StyleName::SketchLike => bilateral::sketch_reference(&config.sketch_like, augmented),
         StyleName::Watercolor => watercolor::reference(&config.watercolor, augmented),
         StyleName::Illustrative => illustrative::reference(&config.illustrative, augmented),
+        StyleName::Pointillism => pointillism::reference(&config.pointillism, augmented),
         StyleName::Sketchy => sketchy::reference(&config.sketchy, augmented),
     }
 }
@@ -68,6 +71,8 @@ pub enum Styler {
     Watercolor(Box<watercolor::Watercolor>),
     /// Edges and hatching on paper.
     Illustrative(Box<illustrative::Illustrative>),
+    /// Small brush strokes.
+    Pointillism(Box<pointillism::Pointillism>),
     /// A blurred picture on paper under pencil strokes.
     Sketchy(Box<sketchy::Sketchy>),
 }
@@ -93,6 +98,10 @@ impl Styler {
             StyleName::Illustrative => {
                 Styler::Illustrative(Box::new(illustrative::Illustrative::new(config.illustrative, level)))
             }
+            StyleName::Pointillism => {
+                let config = config.pointillism.clone();
+                Styler::Pointillism(Box::new(pointillism::Pointillism::new(config, level)))
+            }
             StyleName::Sketchy => {
                 Styler::Sketchy(Box::new(sketchy::Sketchy::new(config.sketchy.clone(), level)))
             }
@@ -108,6 +117,7 @@ impl Styler {
             Styler::SketchLike(_) => StyleName::SketchLike,
             Styler::Watercolor(_) => StyleName::Watercolor,
             Styler::Illustrative(_) => StyleName::Illustrative,
+            Styler::Pointillism(_) => StyleName::Pointillism,
             Styler::Sketchy(_) => StyleName::Sketchy,
         }
     }
@@ -121,6 +131,7 @@ impl Styler {
             Styler::SketchLike(style) => style.look(),
             Styler::Watercolor(style) => style.look(),
             Styler::Illustrative(style) => style.look(),
+            Styler::Pointillism(style) => style.look(),
             Styler::Sketchy(style) => style.look(),
         }
     }
@@ -148,6 +159,7 @@ impl Styler {
             Styler::SketchLike(style) => style.draw(input, out),
             Styler::Watercolor(style) => style.draw(input, out),
             Styler::Illustrative(style) => style.draw(input, out),
+            Styler::Pointillism(style) => style.draw(input, out),
             Styler::Sketchy(style) => style.draw(input, out),
         }
     }

@@ -185,7 +185,7 @@ fn read(view: &View<'_>, quad: &quad::Quad, wanted: &[Wanted]) -> Option<Decoded
 }
 
 /// What was said about this marker: by its number first, then by its family.
-fn wish(wanted: &[Wanted], family: Family, id: u32) -> Option<&Wanted> {
+pub fn wish(wanted: &[Wanted], family: Family, id: u32) -> Option<&Wanted> {
     let of = |number: Option<u32>| wanted.iter().find(|w| w.family == family && w.id == number);
     of(Some(id)).or_else(|| of(None))
 }

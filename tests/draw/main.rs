@@ -4,6 +4,7 @@
 //! depths within 1e-4 relative; both layers. The same bytes for every thread count and SIMD level.
 
 mod reference;
+mod silhouette;
 mod views;
 
 use glam::{DAffine3, DMat3, DVec2, DVec3, Vec3};
@@ -21,7 +22,8 @@ pub const EVERYTHING: Needs = Needs::COLOR.and(Needs::DEPTH).and(Needs::NORMAL).
 pub fn scene(mesh: Mesh, shading: Shading, cull_back: bool) -> Scene {
     let anchor = Anchor { family: Family::Tag36h11, id: None, side_mm: 100.0 };
     let to_marker = DAffine3::IDENTITY;
-    let model = Model { name: "test".into(), mesh, anchor, to_marker, shading, cull_back };
+    let mesh = mesh.into();
+    let model = Model { name: "test".into(), mesh, anchor, to_marker, shading, cull_back, secondary: false };
     Scene { models: vec![model], light: Light::default() }
 }
 
@@ -60,7 +62,22 @@ fn level(shading: Shading, fragment: &reference::Fragment) -> f64 {
                 + (1.0 - f64::from(base)) * f64::from(index * steps / 32) / f64::from(steps - 1);
             255.0 * if index == 31 { 1.0 } else { ramp }
         }
+        Shading::ThreeSteps => {
+            255.0
+                * if steps_at(fragment, 0.7) {
+                    1.0
+                } else if steps_at(fragment, 0.2) {
+                    0.4
+                } else {
+                    0.1
+                }
+        }
     }
+}
+
+/// Per-pixel intensity against the default light, above a step.
+fn steps_at(fragment: &reference::Fragment, step: f64) -> bool {
+    fragment.normal.dot(Light::default().direction.as_dvec3()) > step
 }
 
 fn compare(label: &str, layer: &Layer, picture: &Picture, shading: Shading) {
@@ -89,6 +106,11 @@ fn compare(label: &str, layer: &Layer, picture: &Picture, shading: Shading) {
         let step = (first.smooth * 32.0).fract();
         if matches!(shading, Shading::Toon { .. }) && !(1e-3..=0.999).contains(&step) {
             continue; // a step of the ramp decided by rounding
+        }
+        if shading == Shading::ThreeSteps
+            && [0.7, 0.2].iter().any(|s| steps_at(&first, s - 1e-5) != steps_at(&first, s + 1e-5))
+        {
+            continue; // likewise
         }
         let expected = level(shading, &first);
         for value in layer.color.at(x, y) {
@@ -119,6 +141,14 @@ fn builtin_models_match_the_reference() {
         check(&format!("{name} smooth"), mesh(), turned(distance, 1.0), view, Shading::Smooth, false);
         check(&format!("{name} flat"), mesh(), turned(distance, 1.0), view, Shading::Flat, false);
         check(&format!("{name} toon, culled"), mesh(), turned(distance, 1.0), view, toon, true);
+        check(
+            &format!("{name} three steps"),
+            mesh(),
+            turned(distance, 1.0),
+            view,
+            Shading::ThreeSteps,
+            false,
+        );
         check(&format!("{name} inside"), mesh(), turned(0.5, 1.0), view, Shading::Smooth, false);
         let cut = Camera { near: distance, far: distance * 1.05, ..view };
         check(
@@ -346,6 +376,7 @@ fn same(a: &Layer, b: &Layer) -> bool {
         && a.normal == b.normal
         && a.depth2 == b.depth2
         && a.normal2 == b.normal2
+        && a.silhouette == b.silhouette
         && a.touched == b.touched
 }
 

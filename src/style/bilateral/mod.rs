@@ -1,15 +1,16 @@
 //! Bilateral cartoon and sketch-like: the first stylization filter for augmented reality, on the CPU.
 //!
-//! J. Fischer, *Rendering Methods for Augmented Reality* (2006), section 3.2.1. Per frame:
+//! J. Fischer, *Rendering Methods for Augmented Reality* (2006), section 3.2. The camera picture alone is filtered;
+//! the models are drawn over it with a toon ramp and thick outlines (section 3.2.2). Per frame:
 //!
 //! 1. `levels` levels down the Gaussian pyramid;
 //! 2. `iterations` bilateral steps on the smallest level: flat colors;
 //! 3. back up to full size;
-//! 4. Canny's edges of the augmented picture, thickened by one 3x3 dilation;
-//! 5. black on the edges: AND with their inverse.
+//! 4. Canny's edges of the camera picture, thickened by one 3x3 dilation;
+//! 5. black on the edges: AND with their inverse;
+//! 6. the models' color over that, then their silhouettes, black.
 //!
-//! Sketch-like is the inverted edges alone. The drawn models are composited first, so picture and models pass
-//! through the same filter. Edges are connected on one thread while the others filter colors.
+//! Sketch-like is the inverted edges alone, models white with black silhouettes. Edges are connected on one thread while the others filter colors.
 
 mod finish;
 mod reference;
@@ -19,11 +20,14 @@ pub use reference::{reference, sketch_reference};
 pub use sketch::{Lines, SketchLike};
 
 use super::{ConfigError, Style, StyleInput, StyleName, composite};
+use crate::frame::Needs;
 use crate::kernel::bilateral::Bilateral;
 use crate::kernel::canny::Canny;
 use crate::kernel::pyramid::{self, Down, Up};
 use crate::pixels::simd::Level;
 use crate::pixels::{Plane, Rgb, Size};
+use crate::render::Look;
+use crate::scene::Shading;
 use finish::Finish;
 use serde::{Deserialize, Serialize};
 
@@ -47,12 +51,28 @@ pub struct Config {
     pub t1: f32,
     /// Gradient above which a pixel that touches an edge is one too, 0 to `t1`. Default 105.
     pub t2: f32,
+    /// Levels of the models' toon ramp, 2 to 32. Default 4.
+    pub toon_steps: u32,
+    /// Lowest level of the models' toon ramp, 0 to 1. Default 0.25.
+    pub toon_base: f32,
+    /// Width of the models' silhouette lines, px, 1 to 16. Default 3.
+    pub line_width: f32,
 }
 
 impl Default for Config {
     fn default() -> Self {
-        let Lines { t1, t2 } = Lines::default();
-        Self { levels: 2, iterations: 2, sigma_d: 2.0, sigma_r: 0.1, t1, t2 }
+        let Lines { t1, t2, line_width } = Lines::default();
+        Self {
+            levels: 2,
+            iterations: 2,
+            sigma_d: 2.0,
+            sigma_r: 0.1,
+            t1,
+            t2,
+            toon_steps: 4,
+            toon_base: 0.25,
+            line_width,
+        }
     }
 }
 
@@ -70,12 +90,14 @@ impl Config {
         check("iterations", self.iterations as f32, self.iterations <= 100, "0 to 100")?;
         check("sigma_d", self.sigma_d, (0.1..=100.0).contains(&self.sigma_d), "0.1 to 100")?;
         check("sigma_r", self.sigma_r, (0.001..=10.0).contains(&self.sigma_r), "0.001 to 10")?;
+        check("toon_steps", self.toon_steps as f32, (2..=32).contains(&self.toon_steps), "2 to 32")?;
+        check("toon_base", self.toon_base, (0.0..=1.0).contains(&self.toon_base), "0 to 1")?;
         self.lines().validate_for(StyleName::BilateralCartoon)
     }
 
-    /// The settings of its edges.
+    /// The settings of its edges and silhouettes.
     pub fn lines(&self) -> Lines {
-        Lines { t1: self.t1, t2: self.t2 }
+        Lines { t1: self.t1, t2: self.t2, line_width: self.line_width }
     }
 }
 
@@ -83,7 +105,6 @@ impl Config {
 pub struct BilateralCartoon {
     config: Config,
     level: Level,
-    canvas: Rgb,
     canny: Canny,
     colors: Colors,
     finish: Finish,
@@ -113,8 +134,8 @@ pub struct Stages {
 impl BilateralCartoon {
     /// The style with these settings (see [`Config::validate`]), its bodies at `level`.
     pub fn new(config: Config, level: Level) -> Self {
-        let (canvas, canny) = (Rgb::default(), Canny::default());
-        Self { config, level, canvas, canny, colors: Colors::default(), finish: Finish::default() }
+        let (canny, colors, finish) = (Canny::default(), Colors::default(), Finish::default());
+        Self { config, level, canny, colors, finish }
     }
 
     /// The intermediate planes of one frame, computed anew; the picture goes to `out` as in [`Style::draw`]. It
@@ -124,10 +145,8 @@ impl BilateralCartoon {
         let size = out.size();
         let mut stages = Stages { edges: edges(&self.canny, size), ..Stages::default() };
         if size.area() > 0 {
-            let mut canvas = Rgb::default();
-            let picture = composite::augmented(&input, &mut canvas);
             let mut colors = Colors::default();
-            colors.descend(self.level, picture, self.config.levels as usize);
+            colors.descend(self.level, &input.frame.color, self.config.levels as usize);
             stages.pyramid = colors.pyramid.last().cloned().unwrap_or_default();
             colors.filter(self.level, &self.config);
             stages.filtered = colors.pyramid.last().cloned().unwrap_or_default();
@@ -137,9 +156,18 @@ impl BilateralCartoon {
 }
 
 impl Style for BilateralCartoon {
+    fn look(&self) -> Look {
+        let Config { toon_steps: steps, toon_base: base, line_width, .. } = self.config;
+        Look {
+            needs: Needs::COLOR.and(Needs::SILHOUETTE),
+            shading: Some(Shading::Toon { steps, base }),
+            line_width: line_width.into(),
+            ..Look::default()
+        }
+    }
+
     fn draw(&mut self, input: StyleInput<'_>, out: &mut Rgb) {
-        let mut canvas = std::mem::take(&mut self.canvas);
-        let picture = composite::augmented(&input, &mut canvas);
+        let picture = &input.frame.color;
         out.resize(picture.size());
         if picture.size().area() > 0 {
             let (level, config) = (self.level, &self.config);
@@ -151,7 +179,10 @@ impl Style for BilateralCartoon {
             colors.ascend(level);
             self.finish.draw(level, &colors.pyramid[0], canny, out);
         }
-        self.canvas = canvas;
+        if let Some(layer) = input.layer {
+            composite::over(layer, out);
+            composite::outline(layer, out);
+        }
     }
 }
 

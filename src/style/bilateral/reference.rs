@@ -7,14 +7,14 @@ use crate::pixels::{Plane, Rgb, Size};
 /// An RGB picture in f64.
 type Picture = Plane<[f64; 3]>;
 
-/// Draws `augmented` (camera picture with the models over it) as section 3.2.1 says; 8-bit result.
-pub fn reference(config: &Config, augmented: &Rgb) -> Rgb {
-    let size = augmented.size();
+/// Draws a camera picture as section 3.2.1 says; 8-bit result.
+pub fn reference(config: &Config, camera: &Rgb) -> Rgb {
+    let size = camera.size();
     let mut out = Rgb::new(size, [0; 3]);
     if size.area() == 0 {
         return out;
     }
-    let mut picture = Plane::from_fn(size, |x, y| augmented.at(x, y).map(|v| f64::from(v) / 255.0));
+    let mut picture = Plane::from_fn(size, |x, y| camera.at(x, y).map(|v| f64::from(v) / 255.0));
     let mut sizes = Vec::new();
     for _ in 0..config.levels {
         sizes.push(picture.size());
@@ -32,7 +32,7 @@ pub fn reference(config: &Config, augmented: &Rgb) -> Rgb {
         picture =
             channels(size, |x, y, c| pyramid::up_reference(picture.size(), x, y, |x, y| picture.at(x, y)[c]));
     }
-    let paper = sketch_reference(&config.lines(), augmented);
+    let paper = sketch_reference(&config.lines(), camera);
     for (x, y) in (0..size.height).flat_map(|y| (0..size.width).map(move |x| (x, y))) {
         let color = picture.at(x, y).map(|v| (v.clamp(0.0, 1.0) * 255.0 + 0.5).floor() as u8);
         let paper = paper.at(x, y);
@@ -41,10 +41,10 @@ pub fn reference(config: &Config, augmented: &Rgb) -> Rgb {
     out
 }
 
-/// The inverted, dilated edges of `augmented`.
-pub fn sketch_reference(config: &Lines, augmented: &Rgb) -> Rgb {
-    let size = augmented.size();
-    let gray = Plane::from_fn(size, |x, y| canny::gray(augmented.at(x, y)));
+/// The inverted, dilated edges of a camera picture.
+pub fn sketch_reference(config: &Lines, camera: &Rgb) -> Rgb {
+    let size = camera.size();
+    let gray = Plane::from_fn(size, |x, y| canny::gray(camera.at(x, y)));
     let edges = canny::dilate_reference(&canny::reference(&gray, config.t2 as i32, config.t1 as i32));
     let paper = Plane::from_fn(size, |x, y| if edges.at(x, y) { 0 } else { 255 });
     Rgb { planes: [paper.clone(), paper.clone(), paper] }

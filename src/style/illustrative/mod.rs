@@ -5,19 +5,23 @@
 //!    of the pixel (eq. 4.7, 4.8 and 4.13), which is laid out once a frame size.
 //! 3. Either makes a pixel black; every other pixel is paper.
 //!
-//! One pass over the rows, nothing kept from frame to frame. Objects are filtered with the picture.
+//! One pass over the rows, nothing kept from frame to frame. Models are not filtered: they are drawn over the result
+//! from depth and normals of their first two surfaces (`objects`).
 
+mod objects;
 mod reference;
 
-pub use reference::{halftone, reference};
+pub use reference::{halftone, reference, reference_with};
 
-use super::{ConfigError, Style, StyleInput, StyleName, composite};
+use super::{ConfigError, Style, StyleInput, StyleName};
+use crate::frame::Needs;
 use crate::kernel::band_rows;
 use crate::kernel::color::LUMA;
 use crate::kernel::contrast::{self, BLOCK, Weights};
 use crate::kernel::sobel::Lines;
 use crate::pixels::simd::{Level, dispatch};
 use crate::pixels::{Plane, PlaneMut, Rgb, Size};
+use crate::render::Look;
 use fearless_simd::{Simd, SimdBase, f32x8, i16x16};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -44,6 +48,32 @@ pub struct Config {
     pub paper_green: f32,
     /// Blue of the paper, 0 to 1. Default 0.92.
     pub paper_blue: f32,
+    /// Share of secondary geometry's light that is left behind one surface, 0 to 1. Default 0.7.
+    pub alpha_layer: f32,
+    /// Share of it that is left behind two surfaces, 0 to `alpha_layer`. Default 0.21.
+    pub beta_layer: f32,
+    /// Sum of four cosines to the neighbors' normals below which a model has a line, -4 to 4. Default 3.98.
+    pub normal_threshold: f32,
+    /// Gradient of the models' window depth (0 at the near, 1 at the far plane) from which they have a line, 0 to 10.
+    /// Default 0.001.
+    pub depth_threshold: f32,
+    /// How tightly those planes fit the models: the near plane lies at this share of their nearest depth, their farthest
+    /// depth at this share of the far plane; 0.001 to 1. Default 0.1: lines where a surface is seen at less than 17° or
+    /// steps back by 1 % of its distance (at `depth_threshold` 0.001). At 1, without any room, nearly every pixel of a
+    /// model would be a line.
+    pub depth_fit: f32,
+    /// Red of lines on the models' second surface, 0 to 1. Default 0.45.
+    pub back_layer_red: f32,
+    /// Green of them, 0 to 1. Default 0.55.
+    pub back_layer_green: f32,
+    /// Blue of them, 0 to 1. Default 0.75.
+    pub back_layer_blue: f32,
+    /// Red of secondary geometry, 0 to 1. Default 0.85.
+    pub secondary_red: f32,
+    /// Green of it, 0 to 1. Default 0.3.
+    pub secondary_green: f32,
+    /// Blue of it, 0 to 1. Default 0.1.
+    pub secondary_blue: f32,
 }
 
 impl Default for Config {
@@ -58,6 +88,17 @@ impl Default for Config {
             paper_red: 1.0,
             paper_green: 1.0,
             paper_blue: 0.92,
+            alpha_layer: 0.7,
+            beta_layer: 0.21,
+            normal_threshold: 3.98,
+            depth_threshold: 0.001,
+            depth_fit: 0.1,
+            back_layer_red: 0.45,
+            back_layer_green: 0.55,
+            back_layer_blue: 0.75,
+            secondary_red: 0.85,
+            secondary_green: 0.3,
+            secondary_blue: 0.1,
         }
     }
 }
@@ -74,6 +115,13 @@ impl Config {
             ("paper_red", self.paper_red),
             ("paper_green", self.paper_green),
             ("paper_blue", self.paper_blue),
+            ("alpha_layer", self.alpha_layer),
+            ("back_layer_red", self.back_layer_red),
+            ("back_layer_green", self.back_layer_green),
+            ("back_layer_blue", self.back_layer_blue),
+            ("secondary_red", self.secondary_red),
+            ("secondary_green", self.secondary_green),
+            ("secondary_blue", self.secondary_blue),
         ] {
             check(key, value.into(), (0.0..=1.0).contains(&value), "a number from 0 to 1")?;
         }
@@ -82,16 +130,39 @@ impl Config {
         check("theta", self.theta, (-360.0..=360.0).contains(&self.theta), "-360 to 360 degrees")?;
         check("n", self.n, (1.0..=256.0).contains(&self.n), "1 to 256 pixels")?;
         check("c_cross", self.c_cross, self.c_cross > 0.0 && self.c_cross <= 1.0, "over 0 up to 1")?;
-        check("gamma", gamma.into(), (0.0..=100.0).contains(&gamma), "0 to 100")
+        check("gamma", gamma.into(), (0.0..=100.0).contains(&gamma), "0 to 100")?;
+        let (beta, normal, depth) = (self.beta_layer, self.normal_threshold, self.depth_threshold);
+        check("beta_layer", beta.into(), (0.0..=self.alpha_layer).contains(&beta), "0 to alpha_layer")?;
+        check("normal_threshold", normal.into(), (-4.0..=4.0).contains(&normal), "-4 to 4")?;
+        check("depth_threshold", depth.into(), (0.0..=10.0).contains(&depth), "0 to 10")?;
+        let fit = self.depth_fit;
+        check("depth_fit", fit.into(), (0.001..=1.0).contains(&fit), "0.001 to 1")
     }
 
     fn weights(&self) -> Weights {
         Weights { yuv: [1.0 - self.alpha, self.alpha * 0.5, self.alpha * 0.5], rgb: 0.0 }
     }
 
+    /// Near and far plane of the window depth for models of this extent.
+    fn planes(&self, [near, far]: [f32; 2]) -> [f32; 2] {
+        [near * self.depth_fit, far / self.depth_fit]
+    }
+
     /// The paper in bytes.
     fn paper(&self) -> [u8; 3] {
-        [self.paper_red, self.paper_green, self.paper_blue].map(|v| (v * 255.0 + 0.5).floor() as u8)
+        self.paper_color().map(|v| (v * 255.0 + 0.5).floor() as u8)
+    }
+
+    fn paper_color(&self) -> [f32; 3] {
+        [self.paper_red, self.paper_green, self.paper_blue]
+    }
+
+    fn back_layer_color(&self) -> [f32; 3] {
+        [self.back_layer_red, self.back_layer_green, self.back_layer_blue]
+    }
+
+    fn secondary_color(&self) -> [f32; 3] {
+        [self.secondary_red, self.secondary_green, self.secondary_blue]
     }
 }
 
@@ -99,7 +170,6 @@ impl Config {
 pub struct Illustrative {
     config: Config,
     level: Level,
-    canvas: Rgb,
     halftone: Plane<f32>,
     scratch: Vec<[Lines; 3]>,
 }
@@ -118,14 +188,13 @@ pub struct Stages {
 impl Illustrative {
     /// The style with these settings (see [`Config::validate`]), its bodies at `level`.
     pub fn new(config: Config, level: Level) -> Self {
-        Self { config, level, canvas: Rgb::default(), halftone: Plane::default(), scratch: Vec::new() }
+        Self { config, level, halftone: Plane::default(), scratch: Vec::new() }
     }
 
-    /// The intermediate planes of one frame, computed everywhere; the picture goes to `out` as in [`Style::draw`].
+    /// The intermediate planes of one frame's camera side, computed everywhere; that side goes to `out`.
     /// Slower than drawing, and it allocates.
     pub fn stages(&mut self, input: StyleInput<'_>, out: &mut Rgb) -> Stages {
-        let mut canvas = std::mem::take(&mut self.canvas);
-        let picture = composite::augmented(&input, &mut canvas);
+        let picture = &input.frame.color;
         let size = picture.size();
         out.resize(size);
         let mut stages = Stages::default();
@@ -140,7 +209,6 @@ impl Illustrative {
             let lines = &mut self.scratch[0];
             dispatch!(self.level, simd => draw_band::<_, true>(simd, work, 0, lines, planes, kept));
         }
-        self.canvas = canvas;
         stages
     }
 
@@ -163,9 +231,12 @@ impl Illustrative {
 }
 
 impl Style for Illustrative {
+    fn look(&self) -> Look {
+        Needs::NORMAL.and(Needs::SECOND_LAYER).and(Needs::SECONDARY).into()
+    }
+
     fn draw(&mut self, input: StyleInput<'_>, out: &mut Rgb) {
-        let mut canvas = std::mem::take(&mut self.canvas);
-        let picture = composite::augmented(&input, &mut canvas);
+        let picture = &input.frame.color;
         let size = picture.size();
         out.resize(size);
         if size.area() > 0 {
@@ -179,8 +250,10 @@ impl Style for Illustrative {
             bands.for_each(|((((first, r), (_, g)), (_, b)), lines)| {
                 dispatch!(level, simd => draw_band::<_, false>(simd, work, first, lines, [r, g, b], None));
             });
+            if let Some(layer) = input.layer {
+                objects::draw(level, &self.config, &self.halftone, layer, out);
+            }
         }
-        self.canvas = canvas;
     }
 }
 

@@ -4,11 +4,14 @@
 //! 1. Every pixel is labeled with its nearest site, exactly (`voronoi`); sites start on a jittered grid (`sites`).
 //! 2. Edges are found in YUV and RGB (`contrast`) and each cell's colors and edge pixels are summed (`sums`).
 //! 3. A pixel gets its cell's mean color; an edge pixel is black.
-//! 4. Re-tiling: a cell with enough edge pixels moves its site to their mean, for the next frame.
+//! 4. Re-tiling: a cell with enough edge pixels moves its site to their mean, for the next frame. Where none moves,
+//!    the labels stay.
 //!
 //! So a frame depends on the ones before it through the sites alone: the same sequence always gives the same bytes,
-//! and [`Watercolor::restart`] begins a sequence anew. Objects are filtered with the picture.
+//! and [`Watercolor::restart`] begins a sequence anew. Objects are drawn by a
+//! toon shader of three steps (section 3.2) and filtered with the picture.
 
+pub mod cells;
 mod reference;
 mod sites;
 mod sums;
@@ -17,11 +20,14 @@ pub use reference::reference;
 pub use sites::{Sites, SitesFile, initial};
 
 use super::{ConfigError, Style, StyleInput, StyleName, composite};
+use crate::frame::Needs;
 use crate::kernel::band_rows;
 use crate::kernel::contrast::Weights;
 use crate::kernel::voronoi::Voronoi;
 use crate::pixels::simd::{Level, dispatch};
 use crate::pixels::{Plane, Rgb, Size};
+use crate::render::Look;
+use crate::scene::Shading;
 use fearless_simd::Simd;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -101,6 +107,8 @@ pub struct Watercolor {
     sites: Vec<[i32; 2]>,
     frames: u64,
     voronoi: Voronoi,
+    /// Whether the labels are those of `sites`.
+    labeled: bool,
     edges: Plane<u8>,
     sums: Sums,
     colors: Vec<u32>,
@@ -119,6 +127,8 @@ pub struct Stages {
     pub edge: Plane<f32>,
     /// The sites for the next frame, a row a site: x, y in px.
     pub sites: Plane<f32>,
+    /// This frame's cells as polygons (see [`cells::polygons`]).
+    pub cells: Vec<Vec<[f64; 2]>>,
 }
 
 impl Watercolor {
@@ -133,6 +143,7 @@ impl Watercolor {
             sites: Vec::new(),
             frames: 0,
             voronoi: Voronoi::default(),
+            labeled: false,
             edges: Plane::default(),
             sums: Sums::default(),
             colors: Vec::new(),
@@ -143,15 +154,18 @@ impl Watercolor {
     pub fn restart(&mut self) {
         self.sites.clone_from(&self.initial);
         self.frames = 0;
+        self.labeled = false;
     }
 
     /// The intermediate planes of one frame, which counts as drawn; the picture goes to `out`. Slower than drawing,
     /// and it allocates.
     pub fn stages(&mut self, input: StyleInput<'_>, out: &mut Rgb) -> Stages {
-        self.draw(input, out);
         let mut canvas = Rgb::default();
         let picture = composite::augmented(&input, &mut canvas);
         let size = picture.size();
+        self.fit(size);
+        let cells = cells::polygons(&self.sites, size);
+        self.draw(input, out);
         let count = self.sites.len();
         Stages {
             labels: Plane::from_fn(size, |x, y| self.voronoi.row(y)[x] as f32),
@@ -159,6 +173,7 @@ impl Watercolor {
             response: sums::responses(self.level, picture, self.config.weights()),
             edge: Plane::from_fn(size, |x, y| f32::from(self.edges.at(x, y) & 1)),
             sites: Plane::from_fn(Size::new(2, count), |c, i| self.sites[i][c] as f32 / 16.0),
+            cells,
         }
     }
 
@@ -176,6 +191,10 @@ impl Watercolor {
 }
 
 impl Style for Watercolor {
+    fn look(&self) -> Look {
+        Look { shading: Some(Shading::ThreeSteps), ..Needs::COLOR.into() }
+    }
+
     fn draw(&mut self, input: StyleInput<'_>, out: &mut Rgb) {
         let mut canvas = std::mem::take(&mut self.canvas);
         let picture = composite::augmented(&input, &mut canvas);
@@ -183,7 +202,10 @@ impl Style for Watercolor {
         out.resize(size);
         if size.area() > 0 {
             self.fit(size);
-            self.voronoi.run(self.level, size, &self.sites);
+            if !self.labeled {
+                self.voronoi.run(self.level, size, &self.sites);
+                self.labeled = true;
+            }
             let (weights, threshold) = (self.config.weights(), self.config.threshold);
             self.edges.resize(size, 0);
             let count = self.sites.len();
@@ -192,7 +214,7 @@ impl Style for Watercolor {
             paint(self.level, &self.voronoi, &self.edges, &self.colors, out);
             self.frames += 1;
             if self.frames.is_multiple_of(u64::from(self.config.retile_every.max(1))) {
-                self.sums.retile(self.config.min_edge, &mut self.sites);
+                self.labeled = !self.sums.retile(self.config.min_edge, &mut self.sites);
             }
         }
         self.canvas = canvas;

@@ -1,26 +1,12 @@
 //! The watercolor filter in plain f64, read straight from the paper. Nearest sites come from the Delaunay
 //! triangulation of the sites, which knows nothing of the fast form's windows.
 
+use super::cells::{Site, delaunay};
 use super::{Config, initial};
 use crate::kernel::contrast;
 use crate::pixels::Rgb;
 use spade::handles::FixedVertexHandle;
-use spade::{DelaunayTriangulation, HasPosition, Point2, Triangulation};
-use std::collections::HashMap;
-
-/// A site as the triangulation keeps it.
-struct Site {
-    at: Point2<f64>,
-    index: usize,
-}
-
-impl HasPosition for Site {
-    type Scalar = f64;
-
-    fn position(&self) -> Point2<f64> {
-        self.at
-    }
-}
+use spade::{Point2, Triangulation};
 
 /// Draws `augmented` (camera picture with the models over it) as a first frame; 8-bit result.
 pub fn reference(config: &Config, augmented: &Rgb) -> Rgb {
@@ -55,16 +41,7 @@ pub fn reference(config: &Config, augmented: &Rgb) -> Rgb {
 
 /// Nearest site of every pixel, rows first; the lowest index among equals.
 pub(super) fn labels(sites: &[[i32; 2]], width: usize, height: usize) -> Vec<usize> {
-    let mut first_at = HashMap::new();
-    let mut mesh = DelaunayTriangulation::<Site>::new();
-    for (index, &site) in sites.iter().enumerate() {
-        // of sites in one place only the first is ever nearest
-        first_at.entry(site).or_insert_with(|| {
-            let at = Point2::new(f64::from(site[0]) / 16.0, f64::from(site[1]) / 16.0);
-            // refuses only coordinates that are not finite or beyond 1e60
-            let _ = mesh.insert(Site { at, index });
-        });
-    }
+    let mesh = delaunay(sites);
     let mut hint: Option<FixedVertexHandle> = None;
     (0..width * height)
         .map(|i| {

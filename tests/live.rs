@@ -1,0 +1,261 @@
+//! What happens between frames and around the styles: switching, and later the retouches, each held to what it says.
+
+use vernissage::camera::{Synthetic, SyntheticConfig};
+use vernissage::frame::Frame;
+use vernissage::kernel::mix;
+use vernissage::pipeline::{Pipeline, View};
+use vernissage::pixels::{Rgb, Size, simd};
+use vernissage::scene::{LightConfig, ModelConfig, Scene};
+use vernissage::style::{self, StyleName};
+
+const SIZE: Size = Size::new(320, 240);
+
+fn teapot() -> Scene {
+    let model: ModelConfig =
+        toml::from_str("file = \"teapot\"\nmarker = { id = 7 }\n").expect("a valid table");
+    Scene::build(&[model], &LightConfig::default(), std::path::Path::new(".")).expect("the built-in teapot")
+}
+
+fn camera(settings: SyntheticConfig) -> Synthetic {
+    Synthetic::new(&settings, SIZE, 30.0, simd::best())
+}
+
+fn pipeline(scene: Scene, camera: &Synthetic, style: &style::Config) -> Pipeline {
+    Pipeline::new(scene, camera.lens(), Default::default(), style, simd::best())
+}
+
+fn named(name: StyleName) -> style::Config {
+    style::Config { name, fade_ms: 100, ..style::Config::default() }
+}
+
+#[test]
+fn a_fade_mixes_whole_pictures_of_both_styles() {
+    let mut camera = camera(SyntheticConfig::default());
+    let mut live = pipeline(teapot(), &camera, &named(StyleName::Cartoon));
+    let mut old = pipeline(teapot(), &camera, &named(StyleName::Cartoon));
+    // re-tiled from frame to frame: must begin when it is asked for
+    let mut new = pipeline(teapot(), &camera, &named(StyleName::Watercolor));
+    let mut frame = Frame::default();
+    let mut shares = Vec::new();
+    for number in 0..10 {
+        assert!(camera.next(&mut frame));
+        if number == 4 {
+            live.switch(&named(StyleName::Watercolor));
+            assert!(live.plan(View::Models(1)).fade.runs);
+            assert_eq!(live.style(), StyleName::Watercolor);
+        }
+        let before = old.draw_frame(&frame).canvas.clone();
+        let after = if number < 4 { Rgb::default() } else { new.draw_frame(&frame).canvas.clone() };
+        let drawn = live.draw_frame(&frame);
+        assert_eq!(drawn.plan.fade.runs, (4..6).contains(&number), "frame {number}");
+        assert_eq!(drawn.models, 1, "frame {number}");
+        if number < 4 {
+            assert!(*drawn.canvas == before, "frame {number} is the first style's");
+        } else {
+            let share = ((number - 3) * 256 * 10 / 30).min(256);
+            let mut mixed = after;
+            mix::fade(simd::best(), &before, share, &mut mixed);
+            assert!(*drawn.canvas == mixed, "frame {number} has {share} of 256 of the second style");
+            shares.push(share);
+        }
+    }
+    assert_eq!(shares, [85, 170, 256, 256, 256, 256]);
+}
+
+#[test]
+fn without_a_fade_the_next_frame_is_the_other_style() {
+    let mut camera = camera(SyntheticConfig::default());
+    let style = |name| style::Config { fade_ms: 0, ..named(name) };
+    let cycle = vec![StyleName::Cartoon, StyleName::Illustrative];
+    let config = style::Config { cycle, ..style(StyleName::Cartoon) };
+    let mut live = pipeline(teapot(), &camera, &config);
+    let mut frame = Frame::default();
+    for name in [StyleName::Cartoon, StyleName::Illustrative, StyleName::Cartoon] {
+        assert!(camera.next(&mut frame));
+        let alone = pipeline(teapot(), &camera, &style(name)).draw_frame(&frame).canvas.clone();
+        assert!(*live.draw_frame(&frame).canvas == alone, "{name}");
+        live.step_style(1);
+    }
+}
+
+/// A scene file's tables in place of the demo's.
+fn retouched(text: &str) -> (vernissage::retouch::Config, style::Config) {
+    #[derive(serde::Deserialize)]
+    struct Tables {
+        #[serde(default)]
+        retouch: vernissage::retouch::Config,
+        style: style::Config,
+    }
+    let tables: Tables = toml::from_str(text).expect("valid tables");
+    tables.retouch.validate().expect("in range");
+    tables.style.validate().expect("in range");
+    (tables.retouch, tables.style)
+}
+
+/// The first frame of the synthetic table drawn with these settings; also the frame.
+fn first(text: &str, settings: &SyntheticConfig) -> (Rgb, Frame, Synthetic) {
+    let (retouch, style) = retouched(text);
+    let mut camera = camera(settings.clone());
+    let mut frame = Frame::default();
+    assert!(camera.next(&mut frame));
+    let mut pipeline = pipeline(teapot(), &camera, &style).retouched(&retouch);
+    (pipeline.draw_frame(&frame).canvas.clone(), frame, camera)
+}
+
+/// Gray values of the picture under a grid of marker-space places, from one radius (shares of half the border's side,
+/// square) to another.
+fn under(picture: &Rgb, camera: &Synthetic, radius: std::ops::RangeInclusive<f64>) -> Vec<f64> {
+    let (pose, lens) = (camera.truth(0), camera.lens());
+    let mut values = Vec::new();
+    for (i, j) in (-60..=60).flat_map(|j| (-60..=60).map(move |i| (f64::from(i) / 30.0, f64::from(j) / 30.0)))
+    {
+        if radius.contains(&i.abs().max(j.abs())) {
+            let at = lens
+                .project(pose.apply(glam::DVec3::new(40.0 * i, 40.0 * j, 0.0)))
+                .expect("in front")
+                .round();
+            if at.cmpge(glam::DVec2::ZERO).all() && at.x < SIZE.width as f64 && at.y < SIZE.height as f64 {
+                let [r, g, b] = picture.at(at.x as usize, at.y as usize).map(f64::from);
+                values.push(0.299 * r + 0.587 * g + 0.114 * b);
+            }
+        }
+    }
+    values
+}
+
+fn least(values: &[f64]) -> f64 {
+    values.iter().copied().fold(f64::MAX, f64::min)
+}
+
+fn mean(values: &[f64]) -> f64 {
+    values.iter().sum::<f64>() / values.len() as f64
+}
+
+#[test]
+fn a_hidden_marker_is_paper_or_nothing() {
+    let settings = SyntheticConfig { noise: 0.0, ..SyntheticConfig::default() };
+    // no model in the way: a teapot too small to be seen
+    let draw = |text: &str| {
+        let (retouch, style) = retouched(text);
+        let model: ModelConfig =
+            toml::from_str("file = \"teapot\"\nmarker = { id = 7 }\nscale = 0.001\n").expect("a valid table");
+        let scene =
+            Scene::build(&[model], &LightConfig::default(), std::path::Path::new(".")).expect("a scene");
+        let mut camera = camera(settings.clone());
+        let mut frame = Frame::default();
+        assert!(camera.next(&mut frame));
+        let mut pipeline = pipeline(scene, &camera, &style).retouched(&retouch);
+        (pipeline.draw_frame(&frame).canvas.clone(), camera)
+    };
+    let (seen, camera) = draw("style = { name = \"plain\" }");
+    assert!(least(&under(&seen, &camera, 0.1..=1.0)) < 40.0, "ink");
+    // the quiet zone stays: white where the ink was, within a few levels of the paper around
+    let (blank, camera) = draw("style = { name = \"plain\" }\n[retouch.hide]\nmargin = 1");
+    let ring = under(&blank, &camera, 1.28..=1.4);
+    let print = under(&blank, &camera, 0.1..=1.2);
+    assert!(least(&print) > least(&ring) - 3.0, "print {} paper {}", least(&print), least(&ring));
+    assert!((mean(&print) - mean(&ring)).abs() < 6.0, "print {} paper {}", mean(&print), mean(&ring));
+    // past the sheet's edge (two cells = 1.5) nothing of it stays
+    let (gone, camera) = draw("style = { name = \"plain\" }\n[retouch.hide]\nmargin = 2.5");
+    let ring = under(&gone, &camera, 1.65..=1.75);
+    let print = under(&gone, &camera, 0.1..=1.55);
+    assert!(least(&print) > least(&ring) - 3.0, "print {} cloth {}", least(&print), least(&ring));
+    assert!((mean(&print) - mean(&ring)).abs() < 12.0, "print {} cloth {}", mean(&print), mean(&ring));
+}
+
+#[test]
+fn a_part_is_styled_and_the_rest_is_not() {
+    let settings = SyntheticConfig::default();
+    let (plain, _, camera) = first("style = { name = \"plain\" }", &settings);
+    let (styled, ..) = first("style = { name = \"illustrative\" }", &settings);
+    for (of, inside, outside) in [("marker", 0.3..=0.9, 1.8..=2.0), ("object", 0.0..=0.0, 1.8..=2.0)] {
+        for turned in [false, true] {
+            let text = format!(
+                "style = {{ name = \"illustrative\", part = {{ of = \"{of}\", outside = {turned}, softness = 2 }} }}"
+            );
+            let (part, ..) = first(&text, &settings);
+            let (at, far) = if turned { (&plain, &styled) } else { (&styled, &plain) };
+            assert_eq!(under(&part, &camera, inside.clone()), under(at, &camera, inside.clone()), "{text}");
+            assert_eq!(
+                under(&part, &camera, outside.clone()),
+                under(far, &camera, outside.clone()),
+                "{text}"
+            );
+        }
+    }
+    // no model in sight: nothing to style
+    let (retouch, style) = retouched("style = { name = \"illustrative\", part = { of = \"object\" } }");
+    let mut blind = pipeline(Scene::default(), &camera, &style).retouched(&retouch);
+    let frame =
+        Frame { luma: vernissage::pixels::Plane::new(SIZE, 90), color: plain.clone(), ..Frame::default() };
+    assert!(*blind.draw_frame(&frame).canvas == plain);
+}
+
+#[test]
+fn models_take_the_rooms_light_and_throw_shadows() {
+    let settings = SyntheticConfig::default();
+    let (plain, frame, camera) = first("style = { name = \"plain\" }", &settings);
+    // the same frame under a reddish, dim lamp
+    let mut warm = frame.clone();
+    for (plane, share) in warm.color.planes.iter_mut().zip([0.8, 0.5, 0.4]) {
+        plane.samples_mut().iter_mut().for_each(|v| *v = (f32::from(*v) * share) as u8);
+    }
+    let (retouch, style) = retouched("style = { name = \"plain\" }\n[retouch.light]\n");
+    let mut lit = pipeline(teapot(), &camera, &style).retouched(&retouch);
+    let white = lit.draw_frame(&frame).canvas.clone();
+    let mut dim = pipeline(teapot(), &camera, &style).retouched(&retouch);
+    let red = dim.draw_frame(&warm).canvas.clone();
+    let body =
+        camera.lens().project(camera.truth(0).apply(glam::DVec3::new(0.0, 0.0, 20.0))).expect("seen").round();
+    let at = |picture: &Rgb| picture.at(body.x as usize, body.y as usize).map(f64::from);
+    for c in 0..3 {
+        let share = at(&red)[c] / at(&white)[c];
+        assert!((share - [0.8, 0.5, 0.4][c]).abs() < 0.03, "channel {c} of the teapot: {share}");
+    }
+    // the shadow darkens the print beside the teapot, not the far table, never below its share
+    let (shade, ..) =
+        first("style = { name = \"plain\" }\n[retouch.shadow]\nstrength = 0.5\nsoftness = 0.2", &settings);
+    let (mut darker, mut count) = (0, 0);
+    for y in 0..SIZE.height {
+        for x in 0..SIZE.width {
+            for (a, b) in shade.at(x, y).into_iter().zip(plain.at(x, y)) {
+                assert!(a <= b && f64::from(a) >= 0.5 * f64::from(b) - 1.0, "({x}, {y}): {a} of {b}");
+                darker += usize::from(a < b);
+                count += 1;
+            }
+        }
+    }
+    assert!((count / 200..count / 4).contains(&darker), "{darker} of {count} bytes are in the shadow");
+}
+
+#[test]
+fn everything_at_once_is_the_same_for_any_threads_and_level() {
+    let text = "[retouch.steady]\n[retouch.hide]\nmargin = 2.5\n[retouch.light]\n[retouch.shadow]\n\
+        [style]\nname = \"cartoon\"\nfade_ms = 100\ncycle = [\"cartoon\", \"watercolor\"]\n\
+        [style.part]\nof = \"marker\"\nscale = 2";
+    let (retouch, style) = retouched(text);
+    let play = |threads: usize, level| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a pool");
+        pool.install(|| {
+            let mut camera = Synthetic::new(&SyntheticConfig::default(), SIZE, 30.0, simd::best());
+            let mut pipeline = Pipeline::new(teapot(), camera.lens(), Default::default(), &style, level);
+            pipeline = pipeline.retouched(&retouch);
+            let mut frame = Frame::default();
+            (0..6)
+                .map(|number| {
+                    assert!(camera.next(&mut frame));
+                    if number == 2 {
+                        pipeline.step_style(1);
+                    }
+                    pipeline.draw_frame(&frame).canvas.clone()
+                })
+                .collect::<Vec<_>>()
+        })
+    };
+    let truth = play(1, simd::available()[0]);
+    for threads in [1, 2, 4] {
+        for level in simd::available() {
+            assert!(play(threads, level) == truth, "{} with {threads} threads", simd::name(level));
+        }
+    }
+}
