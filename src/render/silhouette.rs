@@ -53,16 +53,19 @@ impl Silhouette {
         let count = |mesh: &Mesh| mesh.edges().closed.len() + mesh.edges().open.len();
         let known: usize = view.scene.models.iter().map(|model| count(&model.mesh)).sum();
         let placed = view.instances.iter().map(|i| count(&view.scene.models[i.placed.model].mesh));
+        let triangles = view.scene.models.iter().map(|model| model.mesh.triangles.len()).max();
+        self.fronts.resize(triangles.unwrap_or(0), false);
         self.lines.reserve(known.max(placed.sum()).min(KEPT_LINES));
         for instance in view.instances {
             let mesh = &view.scene.models[instance.placed.model].mesh;
             let edges = mesh.edges();
-            self.fronts.resize(mesh.triangles.len(), false);
-            self.fronts.par_chunks_mut(1024).enumerate().for_each(|(chunk, fronts)| {
-                for (front, triangle) in fronts.iter_mut().zip(&mesh.triangles[1024 * chunk..]) {
-                    *front = faces_camera(view, instance, *triangle);
-                }
-            });
+            self.fronts[..mesh.triangles.len()].par_chunks_mut(1024).enumerate().for_each(
+                |(chunk, fronts)| {
+                    for (front, triangle) in fronts.iter_mut().zip(&mesh.triangles[1024 * chunk..]) {
+                        *front = faces_camera(view, instance, *triangle);
+                    }
+                },
+            );
             // a mirrored model shows its inside: nothing is known to be hidden
             let closed_counts = instance.placed.to_camera.matrix3.determinant() > 0.0;
             for edge in &edges.closed {
@@ -88,11 +91,11 @@ impl Silhouette {
     /// Draws the listed lines over the layer's depth, after wiping what the tiles of `previous` held; adds the tiles
     /// that lines reach to the touched ones.
     pub fn draw(&mut self, layer: &mut Layer, grid: TileGrid, previous: &TileSet, line_width: f64, far: f64) {
+        self.reached.clear();
+        self.reached.resize(grid.rows(), [0; ROW_WORDS]);
         if self.lines.is_empty() && previous.is_empty() {
             return;
         }
-        self.reached.clear();
-        self.reached.resize(grid.rows(), [0; ROW_WORDS]);
         let Layer { silhouette, depth, touched, .. } = layer;
         let (lines, depth) = (&self.lines, &*depth);
         let bands = silhouette.view_mut().par_bands(TILE).zip(&mut self.reached).with_max_len(1);
