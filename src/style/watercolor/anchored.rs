@@ -38,9 +38,11 @@ impl Anchored {
         sites.clear();
         // as many as the finest pattern can have, so that moving on allocates nothing
         let most = 8 * (size.area() as f64 / (side * side)) as usize + 4096;
-        self.at.reserve(most.max(window.len()));
-        self.used.reserve(most.max(window.len()));
-        sites.reserve(most.max(window.len()));
+        let most = most.max(window.len());
+        self.at.reserve(most);
+        self.before.reserve(most - self.before.len().min(most));
+        self.used.reserve(most);
+        sites.reserve(most);
         let back = motion.inverse();
         let margin = MARGIN * side * back.scale();
         let fits = |v: f64, length: usize| v > -margin && v < length as f64 + margin;
