@@ -89,8 +89,13 @@ fn with_every_option_on_switching_allocates_between_frames_only() {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(2).build().expect("a pool");
     let cycle = StyleName::value_variants().to_vec();
     let part = toml::from_str("of = \"object\"").expect("a valid table");
-    let config =
-        style::Config { cycle: cycle.clone(), fade_ms: 100, part: Some(part), ..style::Config::default() };
+    let config = style::Config {
+        cycle: cycle.clone(),
+        fade_ms: 100,
+        part: Some(part),
+        anchored: true,
+        ..style::Config::default()
+    };
     let retouch = toml::from_str("steady = {}\nhide = {}\nlight = {}\nshadow = {}").expect("a valid table");
     pool.install(|| {
         let mut camera = Synthetic::new(&settings, size, 30.0, simd::best());

@@ -231,7 +231,7 @@ fn models_take_the_rooms_light_and_throw_shadows() {
 #[test]
 fn everything_at_once_is_the_same_for_any_threads_and_level() {
     let text = "[retouch.steady]\n[retouch.hide]\nmargin = 2.5\n[retouch.light]\n[retouch.shadow]\n\
-        [style]\nname = \"cartoon\"\nfade_ms = 100\ncycle = [\"cartoon\", \"watercolor\"]\n\
+        [style]\nname = \"cartoon\"\nfade_ms = 100\nanchored = true\ncycle = [\"cartoon\", \"watercolor\"]\n\
         [style.part]\nof = \"marker\"\nscale = 2";
     let (retouch, style) = retouched(text);
     let play = |threads: usize, level| {
@@ -257,5 +257,57 @@ fn everything_at_once_is_the_same_for_any_threads_and_level() {
         for level in simd::available() {
             assert!(play(threads, level) == truth, "{} with {threads} threads", simd::name(level));
         }
+    }
+}
+
+#[test]
+fn anchored_patterns_follow_the_marker() {
+    // the table seen twice, the second time as if the camera had turned by whole pixels
+    let settings = SyntheticConfig { noise: 0.0, pace: 0.0, ..SyntheticConfig::default() };
+    let wide = Size::new(SIZE.width + 24, SIZE.height + 9);
+    let mut camera = Synthetic::new(&settings, wide, 30.0, simd::best());
+    let (mut whole, mut frame) = (Frame::default(), Frame::default());
+    assert!(camera.next(&mut whole));
+    let lens = vernissage::geometry::Lens { size: SIZE, ..camera.lens() };
+    let crop = |left: usize, top: usize, frame: &mut Frame| {
+        frame.resize(SIZE);
+        for (to, from) in frame.color.planes.iter_mut().zip(&whole.color.planes) {
+            (0..SIZE.height)
+                .for_each(|y| to.row_mut(y).copy_from_slice(&from.row(top + y)[left..][..SIZE.width]));
+        }
+        for y in 0..SIZE.height {
+            frame.luma.row_mut(y).copy_from_slice(&whole.luma.row(top + y)[left..][..SIZE.width]);
+        }
+    };
+    for name in [StyleName::Illustrative, StyleName::Watercolor, StyleName::Sketchy] {
+        let mut still = [0.0; 2];
+        for (anchored, still) in [false, true].into_iter().zip(&mut still) {
+            let style = style::Config { anchored, ..named(name) };
+            let model: ModelConfig = toml::from_str("file = \"teapot\"\nmarker = { id = 7 }\nscale = 0.001")
+                .expect("a valid table");
+            let scene =
+                Scene::build(&[model], &LightConfig::default(), std::path::Path::new(".")).expect("a scene");
+            let mut live = Pipeline::new(scene, lens, Default::default(), &style, simd::best());
+            crop(0, 0, &mut frame);
+            (0..3).for_each(|_| assert_eq!(live.draw_frame(&frame).sightings.len(), 1));
+            let before = live.draw_frame(&frame).canvas.clone();
+            let lens =
+                vernissage::geometry::Lens { center: lens.center - glam::DVec2::new(23.0, 9.0), ..lens };
+            live.set_lens(lens);
+            crop(23, 9, &mut frame);
+            let drawn = live.draw_frame(&frame);
+            assert_eq!((drawn.sightings.len(), drawn.plan.anchor.runs), (1, anchored));
+            let after = drawn.canvas;
+            // pixels that look as they did where they then were
+            let (mut same, mut count) = (0.0, 0.0);
+            for (x, y) in (20..SIZE.height - 20).flat_map(|y| (20..SIZE.width - 50).map(move |x| (x, y))) {
+                let [a, b] = [before.at(x + 23, y + 9), after.at(x, y)];
+                same += f64::from(u8::from(a.iter().zip(b).all(|(a, b)| a.abs_diff(b) <= 24)));
+                count += 1.0;
+            }
+            *still = same / count;
+        }
+        let [loose, held] = still;
+        assert!(held > 0.9 && held > loose, "{name}: {loose:.3} of the pixels alike without, {held:.3} with");
     }
 }

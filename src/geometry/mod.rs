@@ -7,8 +7,10 @@ mod cholesky;
 mod homography;
 mod lens;
 mod pose;
+mod similarity;
 
 pub use cholesky::solve_spd;
 pub use homography::Homography;
 pub use lens::Lens;
 pub use pose::Pose;
+pub use similarity::Similarity;

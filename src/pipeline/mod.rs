@@ -3,6 +3,7 @@
 //! Comes in: a `Frame`; goes out: the canvas, the sightings and the times. The whole loop runs inside one
 //! rayon pool; after the first frames of a size nothing is allocated.
 
+mod anchor;
 mod latest;
 mod plan;
 mod stylers;
@@ -13,7 +14,7 @@ pub use plan::{Plan, Retouches, Step, View, Wants};
 pub use timings::{Record, Stage, Timings};
 
 use crate::frame::{Frame, Layer, Needs, Sighting};
-use crate::geometry::Lens;
+use crate::geometry::{Lens, Similarity};
 use crate::kernel::mix;
 use crate::pixels::simd::Level;
 use crate::pixels::{Plane, Rgb, Size, TileGrid, TileSet};
@@ -23,7 +24,8 @@ use crate::retouch::{self, Mark, Retouch};
 use crate::scene::Scene;
 use crate::style::{self, StyleInput, StyleName, composite};
 use crate::track::{self, Tracker, Wanted};
-use glam::DAffine3;
+use anchor::Anchor;
+use glam::{DAffine3, DMat3, DVec3};
 use stylers::Stylers;
 
 /// Models nearer than this to the lens are cut open, mm.
@@ -42,6 +44,7 @@ pub struct Pipeline {
     retouch: Retouch,
     retouches: Retouches,
     part: Option<Part>,
+    anchor: Option<Anchor>,
     marks: Vec<Mark>,
     placed: Vec<Placed>,
     canvas: Rgb,
@@ -79,6 +82,7 @@ impl Pipeline {
             retouch: Retouch::new(&retouch::Config::default(), &scene, level),
             retouches: Retouches::default(),
             part: style.part.map(Part::new),
+            anchor: style.anchored.then(Anchor::default),
             marks: Vec::with_capacity(4 * scene.models.len()),
             placed: Vec::with_capacity(4 * scene.models.len()),
             scene,
@@ -125,12 +129,21 @@ impl Pipeline {
         if size.area() == 0 {
             return;
         }
-        self.renderer.draw(&self.scene, &[], &self.camera, self.stylers.look(slot));
+        // every model once, half a meter before the lens, its marker facing it
+        let before = DAffine3 {
+            matrix3: DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0)),
+            translation: DVec3::new(0.0, 0.0, 500.0),
+        };
+        let models = self.scene.models.iter().enumerate();
+        self.placed.clear();
+        self.placed.extend(models.map(|(model, m)| Placed { model, to_camera: before * m.to_marker }));
+        self.renderer.draw(&self.scene, &self.placed, &self.camera, self.stylers.look(slot));
         let color = Rgb::new(size, [128; 3]);
         let frame = Frame { luma: Plane::new(size, 128), color, ..Frame::default() };
         let mut layer = empty_layer(size);
         layer.particles.reserve(self.renderer.layer().particles.capacity());
         let styler = self.stylers.get(slot);
+        styler.anchor(self.anchor.is_some().then_some(Similarity::IDENTITY));
         self.other.resize(size);
         styler.draw(StyleInput { frame: &frame, layer: Some(&layer) }, &mut self.other);
         styler.restart();
@@ -158,6 +171,7 @@ impl Pipeline {
             filters: stylers.filters(),
             fades: stylers.is_fading(),
             part: self.part.as_ref().map(Part::of),
+            anchored: self.anchor.is_some(),
             retouch: self.retouches,
         }
     }
@@ -185,6 +199,8 @@ impl Pipeline {
             timings.measure(Stage::Style, || retouch.frame(frame, scene, marks, &camera.lens));
         scene.light.tint = tint;
 
+        let motion = self.anchor.as_mut().map(|anchor| anchor.follow(marks, &camera.lens));
+
         // the style that leaves first: what it drew is mixed into the other's picture
         let slots = [turn.leaving.unwrap_or(turn.front), turn.front];
         let beside = if self.part.is_some() { Needs::COLOR } else { Needs::NOTHING };
@@ -211,6 +227,7 @@ impl Pipeline {
             let layer = plan.render.runs.then_some(renderer.layer());
             let out = if slot == turn.front { &mut self.canvas } else { &mut self.other };
             let styler = self.stylers.get(slot);
+            styler.anchor(motion);
             timings.measure(Stage::Style, || styler.draw(StyleInput { frame, layer }, out));
         }
         let (level, canvas, other) = (self.level, &mut self.canvas, &mut self.other);

@@ -56,6 +56,8 @@ pub struct Plan {
     pub particles: Step,
     /// Filter the picture.
     pub style: Step,
+    /// Let the style's pattern move with the scene.
+    pub anchor: Step,
     /// Show the style in part of the picture only.
     pub part: Step,
     /// Mix the style with the one it follows.
@@ -75,6 +77,8 @@ pub struct Wants {
     pub fades: bool,
     /// What the style is the part of, where it is not the whole picture.
     pub part: Option<Of>,
+    /// Whether the style's pattern moves with the scene.
+    pub anchored: bool,
     /// What is done to the camera picture.
     pub retouch: Retouches,
 }
@@ -115,12 +119,12 @@ pub enum View {
 impl Plan {
     /// The plan for a frame of `scene` that is drawn as `wants` says, with `view` in sight.
     pub fn new(scene: &Scene, wants: Wants, view: View) -> Self {
-        let Wants { needs, filters, fades, part: of, retouch } = wants;
+        let Wants { needs, filters, fades, part: of, anchored, retouch } = wants;
         let apart = scene.models.iter().any(|model| model.secondary);
         let needs = if apart { needs } else { needs.without(Needs::SECONDARY) };
         // beside a styled part stands conventional augmented reality
         let needs = if of.is_some() { needs.and(Needs::COLOR) } else { needs };
-        let wants_layer = needs != Needs::NOTHING || retouch.hide || of == Some(Of::Marker);
+        let wants_layer = needs != Needs::NOTHING || retouch.hide || anchored || of == Some(Of::Marker);
         let track = match (scene.models.is_empty(), wants_layer) {
             (true, _) => Step::skip("the scene has no model on any marker"),
             (false, false) => Step::skip("the style draws no models"),
@@ -185,6 +189,7 @@ impl Plan {
             } else {
                 Step::skip("the style shows the camera picture as it is, models over it")
             },
+            anchor: marked(anchored, "the style's pattern moves with the marker's surface"),
             part: match (of, render.runs) {
                 (None, _) => Step::skip("the style has the whole picture"),
                 (Some(Of::Object), true) => Step::run("the style is bounded by the models"),
@@ -217,6 +222,7 @@ impl fmt::Display for Plan {
             ("  secondary", self.secondary),
             ("  particles", self.particles),
             ("filter picture", self.style),
+            ("anchor pattern", self.anchor),
             ("style a part", self.part),
             ("fade styles", self.fade),
         ];

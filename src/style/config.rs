@@ -60,6 +60,9 @@ pub struct Config {
     pub fade_ms: u32,
     /// Styles that a visitor steps through, by name; they are built ahead. Default [] (only the one).
     pub cycle: Vec<StyleName>,
+    /// Whether cells, hatching and strokes move with the surface that carries a marker instead of standing still in
+    /// the picture. Default false.
+    pub anchored: bool,
     /// Styles only part of the picture, the rest shows the models over the camera picture. Default: none, all of it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub part: Option<part::Config>,
@@ -87,6 +90,7 @@ impl Default for Config {
             name: StyleName::default(),
             fade_ms: 300,
             cycle: Vec::new(),
+            anchored: false,
             part: None,
             cartoon: Default::default(),
             bilateral_cartoon: Default::default(),

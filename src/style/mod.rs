@@ -9,6 +9,7 @@ pub mod cartoon;
 pub mod composite;
 mod config;
 pub mod illustrative;
+mod lattice;
 pub mod plain;
 pub mod pointillism;
 pub mod sketchy;
@@ -17,6 +18,7 @@ pub mod watercolor;
 pub use config::{Config, ConfigError, StyleName};
 
 use crate::frame::{Frame, Layer, Needs};
+use crate::geometry::Similarity;
 use crate::pixels::Rgb;
 use crate::pixels::simd::Level;
 use crate::render::Look;
@@ -146,6 +148,17 @@ impl Styler {
         match self {
             Styler::Watercolor(style) => style.restart(),
             Styler::Sketchy(style) => style.restart(),
+            _ => {}
+        }
+    }
+
+    /// Says how the scene has moved before a frame is drawn: picture px → px of the plane that the style's pattern
+    /// lies in. `None`: the pattern is the picture's, as in a still. Styles without a pattern do not care.
+    pub fn anchor(&mut self, motion: Option<Similarity>) {
+        match self {
+            Styler::Watercolor(style) => style.anchor(motion),
+            Styler::Illustrative(style) => style.anchor(motion),
+            Styler::Sketchy(style) => style.anchor(motion),
             _ => {}
         }
     }

@@ -3,6 +3,9 @@
 use super::{Config, REACH};
 use crate::pixels::{Plane, Rgb};
 
+/// The weight after a beginning.
+const HALF: f64 = 127.0 / 256.0;
+
 /// The means of the frames so far, as the module's head says.
 pub struct Reference {
     config: Config,
@@ -22,15 +25,15 @@ impl Reference {
         let level = |c: usize, x: usize, y: usize| f64::from(picture.planes[c].at(x, y));
         if self.weight.size() != size {
             self.mean = [0, 1, 2].map(|c| Plane::from_fn(size, |x, y| level(c, x, y)));
-            self.weight = Plane::new(size, 0.5);
+            self.weight = Plane::new(size, HALF);
             return &self.mean;
         }
         let difference = Plane::from_fn(size, |x, y| {
-            let of = |c: usize| (level(c, x, y) - self.mean[c].at(x, y)).abs();
+            // from the mean in whole levels, as it was shown
+            let of = |c: usize| (level(c, x, y) - (self.mean[c].at(x, y) + 0.5).floor()).abs();
             of(0).max(of(1)).max(of(2))
         });
-        // differences are compared in whole levels
-        let gate = (self.config.gate * sigma).round() + 0.5;
+        let gate = (self.config.gate * sigma).round();
         for (x, y) in (0..size.height).flat_map(|y| (0..size.width).map(move |x| (x, y))) {
             let mut most = 0.0f64;
             for v in y.saturating_sub(REACH)..(y + REACH + 1).min(size.height) {
@@ -43,8 +46,10 @@ impl Reference {
                 let mean = &mut mean.row_mut(y)[x];
                 *mean = if most > gate { level(c, x, y) } else { *mean + *weight * (level(c, x, y) - *mean) };
             }
-            let next = (*weight - *weight * *weight).max(1.0 / f64::from(self.config.frames));
-            *weight = if most > gate { 0.5 } else { next };
+            // weights are whole multiples of 1/256
+            let whole = |v: f64| (v * 256.0).floor() / 256.0;
+            let next = (*weight - whole(*weight * *weight)).max(whole(1.0 / f64::from(self.config.frames)));
+            *weight = if most > gate { HALF } else { next };
         }
         &self.mean
     }

@@ -15,6 +15,7 @@ pub use reference::{halftone, reference, reference_with};
 
 use super::{ConfigError, Style, StyleInput, StyleName};
 use crate::frame::Needs;
+use crate::geometry::Similarity;
 use crate::kernel::band_rows;
 use crate::kernel::color::LUMA;
 use crate::kernel::contrast::{self, BLOCK, Weights};
@@ -23,7 +24,9 @@ use crate::pixels::simd::{Level, dispatch};
 use crate::pixels::{Plane, PlaneMut, Rgb, Size};
 use crate::render::Look;
 use fearless_simd::{Simd, SimdBase, f32x8, i16x16};
+use glam::DVec2;
 use rayon::prelude::*;
+use reference::threshold;
 use serde::{Deserialize, Serialize};
 
 /// Settings of the illustrative style; the paper's (Fig. 4.10) where it gives them.
@@ -171,6 +174,10 @@ pub struct Illustrative {
     config: Config,
     level: Level,
     halftone: Plane<f32>,
+    /// How the scene has moved, where the hatching moves with it.
+    motion: Option<Similarity>,
+    /// The size and motion that `halftone` is laid out for.
+    laid: Option<(Size, Option<Similarity>)>,
     scratch: Vec<[Lines; 3]>,
 }
 
@@ -188,7 +195,12 @@ pub struct Stages {
 impl Illustrative {
     /// The style with these settings (see [`Config::validate`]), its bodies at `level`.
     pub fn new(config: Config, level: Level) -> Self {
-        Self { config, level, halftone: Plane::default(), scratch: Vec::new() }
+        Self { config, level, halftone: Plane::default(), motion: None, laid: None, scratch: Vec::new() }
+    }
+
+    /// Carries the hatching along (see [`super::Styler::anchor`]).
+    pub fn anchor(&mut self, motion: Option<Similarity>) {
+        self.motion = motion;
     }
 
     /// The intermediate planes of one frame's camera side, computed everywhere; that side goes to `out`.
@@ -213,14 +225,14 @@ impl Illustrative {
     }
 
     fn fit(&mut self, size: Size, rows: usize) {
-        if self.halftone.size() != size {
-            let Config { theta, n, c_cross, .. } = self.config;
+        if self.laid != Some((size, self.motion)) {
+            self.laid = Some((size, self.motion));
             self.halftone.resize(size, 0.0);
-            for y in 0..size.height {
-                for (x, to) in self.halftone.row_mut(y).iter_mut().enumerate() {
-                    *to = halftone(theta, n, c_cross, x, y) as f32;
-                }
-            }
+            let (level, config) = (self.level, &self.config);
+            let motion = self.motion.unwrap_or(Similarity::IDENTITY);
+            self.halftone.view_mut().par_bands(band_rows(size.height, 8)).for_each(|(first, band)| {
+                dispatch!(level, simd => lay_band(simd, config, motion, first, band));
+            });
         }
         let bands = size.height.div_ceil(rows.max(1));
         if self.scratch.len() < bands {
@@ -253,6 +265,24 @@ impl Style for Illustrative {
             if let Some(layer) = input.layer {
                 objects::draw(level, &self.config, &self.halftone, layer, out);
             }
+        }
+    }
+}
+
+/// Lays the hatching's thresholds out for some rows.
+#[inline(always)]
+fn lay_band<S: Simd>(
+    _simd: S,
+    config: &Config,
+    motion: Similarity,
+    first: usize,
+    mut band: PlaneMut<'_, f32>,
+) {
+    let turn = libm::sincos(config.theta.to_radians());
+    for y in 0..band.size().height {
+        for (x, to) in band.row_mut(y).iter_mut().enumerate() {
+            let at = motion.apply(DVec2::new(x as f64, (first + y) as f64)) + 0.5;
+            *to = threshold(turn, config.n, config.c_cross, at.x, at.y) as f32;
         }
     }
 }
@@ -338,4 +368,45 @@ fn brightness<S: Simd>(simd: S, sums: [i16x16<S>; 3]) -> [f32x8<S>; 2] {
         y[1] += simd.cvt_f32_i32x8(high) * (weight / (9.0 * 255.0));
     }
     y
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::frame::Frame;
+    use crate::kernel::sweep;
+
+    #[test]
+    fn the_hatching_moves_with_the_scene() {
+        let size = Size::new(67, 45);
+        let frame = Frame { color: Rgb::new(size, [90, 80, 70]), ..Frame::default() };
+        let draw = |motion: Option<Similarity>| {
+            sweep::everywhere("hatching", |level| {
+                let mut style = Illustrative::new(Config::default(), level);
+                style.anchor(motion);
+                let mut out = Rgb::default();
+                style.draw(StyleInput { frame: &frame, layer: None }, &mut out);
+                (out, style.halftone)
+            })
+        };
+        let (still, tau) = draw(None);
+        assert!(
+            draw(Some(Similarity::IDENTITY)) == (still.clone(), tau.clone()),
+            "at rest it is the still's"
+        );
+        // the scene has moved by (5, 3): so has the hatching
+        let shift = DVec2::new(-5.0, -3.0);
+        let (moved, _) = draw(Some(Similarity { shift, ..Similarity::IDENTITY }));
+        for (x, y) in (3..45).flat_map(|y| (5..67).map(move |x| (x, y))) {
+            assert_eq!(moved.at(x, y), still.at(x - 5, y - 3), "({x}, {y})");
+        }
+        let motion = Similarity { turn: DVec2::new(0.9, 0.5), shift: DVec2::new(-31.0, 8.0) };
+        let (_, turned) = draw(Some(motion));
+        let Config { theta, n, c_cross, .. } = Config::default();
+        for (x, y) in (0..45).flat_map(|y| (0..67).map(move |x| (x, y))) {
+            let at = motion.apply(DVec2::new(x as f64, y as f64)) + 0.5;
+            let truth = threshold(libm::sincos(theta.to_radians()), n, c_cross, at.x, at.y);
+            assert_eq!(turned.at(x, y), truth as f32);
+        }
+    }
 }

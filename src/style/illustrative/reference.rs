@@ -8,8 +8,12 @@ use glam::DVec3;
 
 /// The halftone threshold of the pixel at column `x`, row `y` (eq. 4.7, 4.8): `theta` in degrees, `n` in px.
 pub fn halftone(theta: f64, n: f64, c_cross: f64, x: usize, y: usize) -> f64 {
-    let (sin, cos) = libm::sincos(theta.to_radians());
-    let (x, y) = (x as f64 + 0.5, y as f64 + 0.5);
+    threshold(libm::sincos(theta.to_radians()), n, c_cross, x as f64 + 0.5, y as f64 + 0.5)
+}
+
+/// The same at any place of the pattern; `turn`: sine and cosine of theta.
+#[inline(always)]
+pub(super) fn threshold((sin, cos): (f64, f64), n: f64, c_cross: f64, x: f64, y: f64) -> f64 {
     let fraction = |v: f64| v / n - (v / n).floor();
     let (s, t) = (fraction(cos * x - sin * y), fraction(sin * x + cos * y));
     if s <= c_cross { c_cross * t } else { (1.0 - c_cross) * s + c_cross }

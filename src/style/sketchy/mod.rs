@@ -27,6 +27,7 @@ pub use reference::{reference, reference_over};
 
 use super::{Style, StyleInput, composite};
 use crate::frame::Needs;
+use crate::geometry::Similarity;
 use crate::kernel::band_rows;
 use crate::kernel::gaussian::{Gaussian, Halves};
 use crate::pixels::simd::{Level, dispatch};
@@ -52,6 +53,8 @@ pub struct Sketchy {
     frames: u64,
     /// The frame number that `starts` is for.
     started: Option<u64>,
+    /// How the scene has moved, where the starts move with it.
+    motion: Option<Similarity>,
     starts: Starts,
     strokes: Strokes,
     sprites: Sprites,
@@ -104,6 +107,7 @@ impl Sketchy {
             size: Size::new(0, 0),
             frames: 0,
             started: None,
+            motion: None,
             starts: Starts::default(),
             strokes: Strokes::default(),
             sprites: Sprites::default(),
@@ -112,6 +116,17 @@ impl Sketchy {
             shade: Vec::new(),
             bands: Vec::new(),
         }
+    }
+
+    /// Carries the places where strokes begin along (see [`super::Styler::anchor`]); they then come from an endless
+    /// lattice. Starts of a file and of `lively` strokes stay as they are.
+    pub fn anchor(&mut self, motion: Option<Similarity>) {
+        let free = self.config.lively || self.config.starts.starts().is_some();
+        let motion = motion.filter(|_| !free);
+        if self.motion.is_some() || motion.is_some() {
+            self.started = None;
+        }
+        self.motion = motion;
     }
 
     /// Draws the next frame as a first one.
@@ -183,9 +198,13 @@ impl Sketchy {
         let frame = if config.lively { self.frames } else { 0 };
         if self.started != Some(frame) {
             self.started = Some(frame);
-            match config.starts.starts() {
-                Some(places) => starts.fill(size.height, places.iter().copied()),
-                None => {
+            match (config.starts.starts(), self.motion) {
+                (Some(places), _) => starts.fill(size.height, places.iter().copied()),
+                (None, Some(motion)) => {
+                    starts.reserve((4.5 * config.density * size.area() as f64) as usize);
+                    starts.fill(size.height, starts::anchored(*size, config.density, config.seed, motion));
+                }
+                (None, None) => {
                     let seed = starts::seed_of(config.seed, frame);
                     starts.fill(size.height, starts::random(*size, config.density, seed));
                 }

@@ -1,7 +1,10 @@
 //! Where strokes may begin: random pixels, or the places of a file. Ordered by row, so that tracing walks down the
 //! picture; how strokes were numbered is kept beside them.
 
+use crate::geometry::Similarity;
 use crate::pixels::{Size, SplitMix64, hash_noise};
+use crate::style::lattice::{Window, place};
+use glam::DVec2;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -30,6 +33,19 @@ pub fn random(size: Size, density: f64, seed: u64) -> impl Iterator<Item = [f64;
     })
 }
 
+/// As many random places of an endless plane as `density` says, those that lie in a picture of `size`, on its pixels;
+/// `motion`: picture px → that plane.
+pub fn anchored(size: Size, density: f64, seed: u64, motion: Similarity) -> impl Iterator<Item = [f64; 2]> {
+    let side = 1.0 / density.max(1e-6).sqrt();
+    let back = motion.inverse();
+    let inside = DVec2::new(size.width as f64, size.height as f64);
+    let window = if density > 0.0 { Window::over(&motion, size, side) } else { Window::default() };
+    window.cells().filter_map(move |cell| {
+        let at = (back.apply(place(cell, side, seed)) + 0.5).floor();
+        (at.cmpge(DVec2::ZERO).all() && at.cmplt(inside).all()).then_some([at.x, at.y])
+    })
+}
+
 /// The seed of frame number `frame`: the first frame has the seed itself.
 pub fn seed_of(seed: u64, frame: u64) -> u64 {
     if frame == 0 { seed } else { hash_noise(0, 0, seed, frame) }
@@ -45,6 +61,13 @@ pub struct Starts {
 }
 
 impl Starts {
+    /// Makes room for this many.
+    pub fn reserve(&mut self, most: usize) {
+        for list in [&mut self.unordered, &mut self.ordered] {
+            list.reserve(most.saturating_sub(list.len()));
+        }
+    }
+
     /// Takes these places. Allocates only to grow.
     pub fn fill(&mut self, height: usize, places: impl Iterator<Item = [f64; 2]>) {
         self.numbered.clear();

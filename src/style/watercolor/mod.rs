@@ -11,6 +11,7 @@
 //! and [`Watercolor::restart`] begins a sequence anew. Objects are drawn by a
 //! toon shader of three steps (section 3.2) and filtered with the picture.
 
+mod anchored;
 pub mod cells;
 mod reference;
 mod sites;
@@ -21,6 +22,7 @@ pub use sites::{Sites, SitesFile, initial};
 
 use super::{ConfigError, Style, StyleInput, StyleName, composite};
 use crate::frame::Needs;
+use crate::geometry::Similarity;
 use crate::kernel::band_rows;
 use crate::kernel::contrast::Weights;
 use crate::kernel::voronoi::Voronoi;
@@ -28,6 +30,7 @@ use crate::pixels::simd::{Level, dispatch};
 use crate::pixels::{Plane, Rgb, Size};
 use crate::render::Look;
 use crate::scene::Shading;
+use anchored::Anchored;
 use fearless_simd::Simd;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -107,6 +110,11 @@ pub struct Watercolor {
     sites: Vec<[i32; 2]>,
     frames: u64,
     voronoi: Voronoi,
+    /// How the scene has moved, where the pattern moves with it.
+    motion: Option<Similarity>,
+    anchored: Anchored,
+    /// The sites before re-tiling.
+    unmoved: Vec<[i32; 2]>,
     /// Whether the labels are those of `sites`.
     labeled: bool,
     edges: Plane<u8>,
@@ -143,6 +151,9 @@ impl Watercolor {
             sites: Vec::new(),
             frames: 0,
             voronoi: Voronoi::default(),
+            motion: None,
+            anchored: Anchored::default(),
+            unmoved: Vec::new(),
             labeled: false,
             edges: Plane::default(),
             sums: Sums::default(),
@@ -155,6 +166,15 @@ impl Watercolor {
         self.sites.clone_from(&self.initial);
         self.frames = 0;
         self.labeled = false;
+        self.anchored.restart();
+    }
+
+    /// Carries the cells along (see [`super::Styler::anchor`]); they then come from an endless lattice.
+    pub fn anchor(&mut self, motion: Option<Similarity>) {
+        if self.motion.is_some() != motion.is_some() {
+            self.restart();
+        }
+        self.motion = motion;
     }
 
     /// The intermediate planes of one frame, which counts as drawn; the picture goes to `out`. Slower than drawing,
@@ -202,6 +222,11 @@ impl Style for Watercolor {
         out.resize(size);
         if size.area() > 0 {
             self.fit(size);
+            if let Some(motion) = &self.motion {
+                let side = f64::from(self.config.cell);
+                self.anchored.place(motion, size, side, self.config.seed, &mut self.sites);
+                self.labeled = false;
+            }
             if !self.labeled {
                 self.voronoi.run(self.level, size, &self.sites);
                 self.labeled = true;
@@ -214,7 +239,13 @@ impl Style for Watercolor {
             paint(self.level, &self.voronoi, &self.edges, &self.colors, out);
             self.frames += 1;
             if self.frames.is_multiple_of(u64::from(self.config.retile_every.max(1))) {
+                if self.motion.is_some() {
+                    self.unmoved.clone_from(&self.sites);
+                }
                 self.labeled = !self.sums.retile(self.config.min_edge, &mut self.sites);
+                if let Some(motion) = &self.motion {
+                    self.anchored.keep(motion, &self.unmoved, &self.sites);
+                }
             }
         }
         self.canvas = canvas;
