@@ -84,7 +84,8 @@ fn three_hundred_frames_allocate_nothing_in_any_style() {
 #[test]
 fn with_every_option_on_switching_allocates_between_frames_only() {
     let size = Size::new(320, 240);
-    let settings = SyntheticConfig { samples: 1, ..SyntheticConfig::default() };
+    // always the same picture: how full it is may not matter here
+    let settings = SyntheticConfig { samples: 1, pace: 0.0, noise: 0.0, ..SyntheticConfig::default() };
     let pool = rayon::ThreadPoolBuilder::new().num_threads(2).build().expect("a pool");
     let cycle = StyleName::value_variants().to_vec();
     let part = toml::from_str("of = \"object\"").expect("a valid table");
@@ -96,7 +97,7 @@ fn with_every_option_on_switching_allocates_between_frames_only() {
         let mut pipeline = Pipeline::new(teapot(), camera.lens(), Default::default(), &config, simd::best())
             .retouched(&retouch);
         let mut frame = Frame::default();
-        let (mut inside, mut faded) = (0, 0);
+        let (mut inside, mut faded) = (Vec::new(), 0);
         for number in 0..12 * (cycle.len() + 3) {
             assert!(camera.next(&mut frame));
             match (number % 12, number / 12) {
@@ -112,11 +113,11 @@ fn with_every_option_on_switching_allocates_between_frames_only() {
             let before = ALLOCATIONS.load(Ordering::Relaxed);
             faded += usize::from(pipeline.draw_frame(&frame).plan.fade.runs);
             let allocated = ALLOCATIONS.load(Ordering::Relaxed) - before;
-            if number >= 12 {
-                inside += allocated;
+            if number >= 12 && allocated > 0 {
+                inside.push((number, allocated));
             }
         }
         assert_eq!(faded, 2 * (cycle.len() + 2));
-        assert_eq!(inside, 0, "allocations in frames");
+        assert!(inside.is_empty(), "frames that allocate, and how often: {inside:?}");
     });
 }

@@ -114,8 +114,10 @@ fn under(picture: &Rgb, camera: &Synthetic, radius: std::ops::RangeInclusive<f64
                 .project(pose.apply(glam::DVec3::new(40.0 * i, 40.0 * j, 0.0)))
                 .expect("in front")
                 .round();
-            let [r, g, b] = picture.at(at.x as usize, at.y as usize).map(f64::from);
-            values.push(0.299 * r + 0.587 * g + 0.114 * b);
+            if at.cmpge(glam::DVec2::ZERO).all() && at.x < SIZE.width as f64 && at.y < SIZE.height as f64 {
+                let [r, g, b] = picture.at(at.x as usize, at.y as usize).map(f64::from);
+                values.push(0.299 * r + 0.587 * g + 0.114 * b);
+            }
         }
     }
     values
@@ -132,7 +134,7 @@ fn mean(values: &[f64]) -> f64 {
 #[test]
 fn a_hidden_marker_is_paper_or_nothing() {
     let settings = SyntheticConfig { noise: 0.0, ..SyntheticConfig::default() };
-    // no model in the way: the teapot is far below the table's edge
+    // no model in the way: a teapot too small to be seen
     let draw = |text: &str| {
         let (retouch, style) = retouched(text);
         let model: ModelConfig =
@@ -224,7 +226,6 @@ fn models_take_the_rooms_light_and_throw_shadows() {
         }
     }
     assert!((count / 200..count / 4).contains(&darker), "{darker} of {count} bytes are in the shadow");
-    assert_eq!(under(&shade, &camera, 1.95..=2.0).len(), under(&plain, &camera, 1.95..=2.0).len());
 }
 
 #[test]

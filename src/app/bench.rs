@@ -17,6 +17,7 @@ use crate::marker::Family;
 use crate::pipeline::Stage;
 use crate::pixels::{Plane, Rgb, Size, simd};
 use crate::render::{Camera, Placed, Renderer};
+use crate::retouch;
 use crate::scene::{Mesh, Scene};
 use crate::style::{self, StyleInput, StyleName, Styler};
 use crate::track::{Tracker, Wanted};
@@ -99,10 +100,11 @@ pub fn run(args: Args) -> anyhow::Result<()> {
         return styles::run(&args);
     }
     let all = !(args.tracking || args.raster);
-    let parts: [(bool, Part); 5] = [
+    let parts: [(bool, Part); 6] = [
         (all, Bench::convert),
         (all || args.tracking, Bench::tracking),
         (all || args.raster, Bench::raster),
+        (all, Bench::retouch),
         (all, Bench::styles),
         (all, Bench::whole),
     ];
@@ -260,6 +262,27 @@ impl Bench {
                 let error = ray_cast_error(&scene.models[0].mesh, &placed[0], &camera.lens, layer);
                 rows.push(self.row("render", format!("{name}, {variant}"), times, error));
             }
+        }
+        rows
+    }
+
+    /// What settings may ask for before a style draws, the printed marker's exact pose given.
+    fn retouch(&self) -> Vec<Row> {
+        let (Some((scene, ..)), lens) = (view("teapot"), self.camera.lens()) else { return Vec::new() };
+        let mark = |frame: &Frame| retouch::Mark {
+            family: Family::Tag36h11,
+            id: 7,
+            side_mm: 80.0,
+            pose: self.camera.truth(frame.sequence),
+        };
+        let mut rows = Vec::new();
+        for table in ["steady", "hide", "light", "shadow"] {
+            let Ok(config) = toml::from_str(&format!("{table} = {{}}")) else { continue };
+            let mut retouch = retouch::Retouch::new(&config, &scene, simd::best());
+            let times = self.time(|frame| {
+                retouch.frame(frame, &scene, &[mark(frame)], &lens);
+            });
+            rows.push(self.row("retouch", table, times, String::new()));
         }
         rows
     }

@@ -125,6 +125,8 @@ pub struct Renderer {
     /// Draws the secondary models where they are apart.
     secondary: Option<Box<Renderer>>,
     particles: Particles,
+    /// Where its layer goes when it is done.
+    spare: Option<Box<Layer>>,
 }
 
 /// One placed model of this frame: where its vertices, surfaces and chunks are.
@@ -166,6 +168,7 @@ impl Renderer {
             silhouette: Silhouette::default(),
             secondary: None,
             particles: Particles::default(),
+            spare: None,
         }
     }
 
@@ -190,26 +193,24 @@ impl Renderer {
         look: impl Into<Look>,
     ) -> &Layer {
         let look = look.into();
-        if look.needs.includes(Needs::SECONDARY) {
-            self.draw_part(scene, placed, camera, look, Part::Primary);
-            self.draw_secondary(scene, placed, camera);
-        } else {
-            (self.secondary, self.layer.secondary) = (None, None);
-            self.draw_part(scene, placed, camera, look, Part::Whole);
+        // between frames the secondary models' layer is part of ours; to be drawn it goes back to its renderer
+        if let (Some(mut layer), Some(renderer)) = (self.layer.secondary.take(), &mut self.secondary) {
+            std::mem::swap(&mut *layer, &mut renderer.layer);
+            self.spare = Some(layer);
         }
-        &self.layer
-    }
-
-    /// Draws the secondary models into a layer of their own.
-    fn draw_secondary(&mut self, scene: &Scene, placed: &[Placed], camera: &Camera) {
+        if !look.needs.includes(Needs::SECONDARY) {
+            self.draw_part(scene, placed, camera, look, Part::Whole);
+            return &self.layer;
+        }
+        self.draw_part(scene, placed, camera, look, Part::Primary);
         let level = self.level;
         let renderer = self.secondary.get_or_insert_with(|| Box::new(Renderer::new(level)));
-        // the other renderer's layer lives in ours between frames
-        let layer = self.layer.secondary.get_or_insert_default();
-        std::mem::swap(&mut **layer, &mut renderer.layer);
         renderer.draw_part(scene, placed, camera, Needs::NORMAL.into(), Part::Secondary);
-        std::mem::swap(&mut **layer, &mut renderer.layer);
-        self.layer.touched.union(&layer.touched);
+        self.layer.touched.union(&renderer.layer.touched);
+        let mut layer = self.spare.take().unwrap_or_default();
+        std::mem::swap(&mut *layer, &mut renderer.layer);
+        self.layer.secondary = Some(layer);
+        &self.layer
     }
 
     fn draw_part(&mut self, scene: &Scene, placed: &[Placed], camera: &Camera, look: Look, part: Part) {

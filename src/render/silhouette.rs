@@ -13,6 +13,7 @@ use super::vertex::Vertex;
 use super::{Instance, View, clip};
 use crate::frame::Layer;
 use crate::pixels::{PlaneMut, TILE, TileGrid, TileSet};
+use crate::scene::Mesh;
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 
@@ -48,9 +49,11 @@ impl Silhouette {
     /// Lists the lines of the placed models.
     pub fn find(&mut self, view: &View<'_>) {
         self.lines.clear();
-        let edges_of = |i: &Instance| view.scene.models[i.placed.model].mesh.edges();
-        let all = view.instances.iter().map(edges_of).map(|edges| edges.closed.len() + edges.open.len());
-        self.lines.reserve(all.sum::<usize>().min(KEPT_LINES));
+        // of all models, in view or not: their edges are found and room is made before they come
+        let count = |mesh: &Mesh| mesh.edges().closed.len() + mesh.edges().open.len();
+        let known: usize = view.scene.models.iter().map(|model| count(&model.mesh)).sum();
+        let placed = view.instances.iter().map(|i| count(&view.scene.models[i.placed.model].mesh));
+        self.lines.reserve(known.max(placed.sum()).min(KEPT_LINES));
         for instance in view.instances {
             let mesh = &view.scene.models[instance.placed.model].mesh;
             let edges = mesh.edges();
@@ -85,6 +88,9 @@ impl Silhouette {
     /// Draws the listed lines over the layer's depth, after wiping what the tiles of `previous` held; adds the tiles
     /// that lines reach to the touched ones.
     pub fn draw(&mut self, layer: &mut Layer, grid: TileGrid, previous: &TileSet, line_width: f64, far: f64) {
+        if self.lines.is_empty() && previous.is_empty() {
+            return;
+        }
         self.reached.clear();
         self.reached.resize(grid.rows(), [0; ROW_WORDS]);
         let Layer { silhouette, depth, touched, .. } = layer;

@@ -74,11 +74,6 @@ impl RoomLight {
     pub fn tint(&self) -> Vec3 {
         self.gain.map_or(Vec3::ONE, |gain| gain.as_vec3())
     }
-
-    /// Forgets the light seen so far.
-    pub fn restart(&mut self) {
-        self.gain = None;
-    }
 }
 
 /// The median color of the paper around a print, 0..255; `None` when part of it is out of view.

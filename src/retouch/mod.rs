@@ -139,16 +139,6 @@ impl Retouch {
         }
         (own, tint)
     }
-
-    /// Forgets the frames so far.
-    pub fn restart(&mut self) {
-        if let Some(steady) = &mut self.steady {
-            steady.restart();
-        }
-        if let Some(light) = &mut self.light {
-            light.restart();
-        }
-    }
 }
 
 /// The color of the picture at a place in px, bilinear, clamped to the picture.

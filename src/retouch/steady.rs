@@ -16,7 +16,7 @@ pub use reference::Reference;
 use super::{RangeError, check};
 use crate::kernel::band_rows;
 use crate::pixels::simd::{Level, dispatch};
-use crate::pixels::{Plane, PlaneMut, Rgb, Size};
+use crate::pixels::{Plane, PlaneMut, Rgb};
 use fearless_simd::Simd;
 use noise::Noise;
 use rayon::prelude::*;
@@ -26,7 +26,7 @@ use serde::Deserialize;
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Config {
-    /// Difference, times the noise, from which a pixel and its neighbors begin anew, 2 to 10. Default 4.5.
+    /// Difference, times the noise, from which a pixel and its neighbors begin anew, 2 to 10. Default 4.
     pub gate: f64,
     /// Frames that the mean runs over at most, 2 to 16. Default 16.
     pub frames: u32,
@@ -36,7 +36,7 @@ pub struct Config {
 
 impl Default for Config {
     fn default() -> Self {
-        Self { gate: 4.5, frames: 16, noise: 0.0 }
+        Self { gate: 4.0, frames: 16, noise: 0.0 }
     }
 }
 
@@ -51,7 +51,7 @@ impl Config {
 
     /// The difference above which pixels begin anew, in levels.
     fn levels(&self, noise: f64) -> u8 {
-        (self.gate * noise.max(0.5)).min(255.0) as u8
+        (self.gate * noise.max(0.5) + 0.5).min(255.0) as u8
     }
 }
 
@@ -100,12 +100,6 @@ impl Steady {
             shown: Default::default(),
             scratch: Vec::new(),
         }
-    }
-
-    /// Forgets the frames so far.
-    pub fn restart(&mut self) {
-        self.shown[0].resize(Size::new(0, 0));
-        self.noise = Noise::default();
     }
 
     /// The noise taken for the camera's, levels.
@@ -291,7 +285,7 @@ fn age<S: Simd>(_simd: S, most: &[u8], gate: u8, least: u8, weight: &mut [u8]) {
 mod tests {
     use super::*;
     use crate::kernel::sweep;
-    use crate::pixels::{SplitMix64, hash_noise};
+    use crate::pixels::{Size, SplitMix64, hash_noise};
 
     /// A scene of a ramp and a bright square that jumps at frame 6, with noise of one standard deviation.
     fn scene(size: Size, frame: usize, sigma: f64) -> Rgb {

@@ -30,7 +30,7 @@ impl Reference {
             of(0).max(of(1)).max(of(2))
         });
         // differences are compared in whole levels
-        let gate = (self.config.gate * sigma).floor() + 0.5;
+        let gate = (self.config.gate * sigma).round() + 0.5;
         for (x, y) in (0..size.height).flat_map(|y| (0..size.width).map(move |x| (x, y))) {
             let mut most = 0.0f64;
             for v in y.saturating_sub(REACH)..(y + REACH + 1).min(size.height) {

@@ -120,8 +120,10 @@ pub(super) fn onward(force: [f64; 2], last: [f64; 2]) -> [f64; 2] {
 }
 
 /// The edge at the pixel that holds a place; none outside the picture.
+#[inline]
 pub(super) fn look_up(field: Field<'_>, [x, y]: [f64; 2]) -> Option<Edge> {
-    let (x, y, size) = ((x + 0.5).floor(), (y + 0.5).floor(), field.size());
+    let (x, y, size) = (x + 0.5, y + 0.5, field.size());
     let inside = x >= 0.0 && y >= 0.0 && x < size.width as f64 && y < size.height as f64;
+    // conversion to integers cuts off, which above 0 is the floor
     if inside { field.edge(x as usize, y as usize) } else { None }
 }
