@@ -170,8 +170,8 @@ fn paint_band<S: Simd>(
                 for (c, plane) in painting.picture.planes.iter().enumerate() {
                     let from = &plane.row(first + top + y)[left..left + width];
                     let to = &mut canvas[(3 * y + c) * stride + margin..][..width];
-                    for (to, &from) in to.iter_mut().zip(from) {
-                        *to = i16::from(from) << 6;
+                    for x in 0..width {
+                        to[x] = i16::from(from[x]) << 6;
                     }
                 }
             }
@@ -181,9 +181,9 @@ fn paint_band<S: Simd>(
                 let x = stroke.x.clamp(0, size.width as i32 - 1) as usize;
                 let y = stroke.y.clamp(0, size.height as i32 - 1) as usize;
                 let mut color = stroke.color;
-                for (channel, plane) in color.iter_mut().zip(&painting.picture.planes) {
-                    let at = i32::from(plane.at(x, y)) * LEVEL;
-                    *channel = (at + i32::from(*channel)).clamp(0, WHITE) as i16;
+                for c in 0..3 {
+                    let at = i32::from(painting.picture.planes[c].at(x, y)) * LEVEL;
+                    color[c] = (at + i32::from(color[c])).clamp(0, WHITE) as i16;
                 }
                 block.stroke(painting.stamps, stroke, color);
             }
@@ -194,8 +194,8 @@ fn paint_band<S: Simd>(
                 for (c, plane) in out.iter_mut().enumerate() {
                     let from = &canvas[(3 * y + c) * stride + margin..][..width];
                     let to = &mut plane.row_mut(top + y)[left..left + width];
-                    for (to, &from) in to.iter_mut().zip(from) {
-                        *to = ((from + 32) >> 6) as u8;
+                    for x in 0..width {
+                        to[x] = ((from[x] + 32) >> 6) as u8;
                     }
                 }
             }
@@ -226,35 +226,30 @@ impl Block<'_> {
         let rows = stamps.rows(stamp, from as usize, to as usize);
         let left = (stroke.x - radius - self.left as i32 + self.margin as i32) as usize;
         let mut at = 3 * (top + from) as usize * self.stride + left;
-        if stamp.vectors == 1 {
-            for opacity in rows {
-                for c in color {
-                    if let Some(canvas) = self.canvas.get_mut(at..).and_then(|rest| rest.first_chunk_mut()) {
-                        blend(canvas, opacity, c);
-                    }
-                    at += self.stride;
-                }
+        let [r, g, b] = color;
+        // loops over indices: what an iterator's chain leaves as a call runs without the level's instructions
+        let mut k = 0;
+        while k < rows.len() {
+            for vector in 0..stamp.vectors {
+                let x = at + vector * LANES;
+                blend(self.canvas, x, &rows[k], r);
+                blend(self.canvas, x + self.stride, &rows[k], g);
+                blend(self.canvas, x + 2 * self.stride, &rows[k], b);
+                k += 1;
             }
-        } else {
-            for row in rows.chunks_exact(stamp.vectors) {
-                for c in color {
-                    let canvas = &mut self.canvas[at..at + LANES * stamp.vectors];
-                    for (canvas, opacity) in canvas.as_chunks_mut().0.iter_mut().zip(row) {
-                        blend(canvas, opacity, c);
-                    }
-                    at += self.stride;
-                }
-            }
+            at += 3 * self.stride;
         }
     }
 }
 
-/// Lays `color` over the canvas: `d += floor((color - d)·a)`.
+/// Lays `color` over sixteen pixels of the canvas: `d += floor((color - d)·a)`.
 #[inline(always)]
-fn blend(canvas: &mut [i16; LANES], opacity: &[i16; LANES], color: i16) {
-    for (d, &a) in canvas.iter_mut().zip(opacity) {
-        // both products of sixteen bits' upper half: one instruction
-        let way = color.wrapping_sub(*d) << 1;
-        *d = d.wrapping_add(((i32::from(way) * i32::from(a)) >> 16) as i16);
+fn blend(canvas: &mut [i16], at: usize, opacity: &[i16; LANES], color: i16) {
+    let Some(Ok(canvas)) = canvas.get_mut(at..at + LANES).map(<&mut [i16; LANES]>::try_from) else { return };
+    let (was, opacity) = (*canvas, *opacity);
+    for lane in 0..LANES {
+        // the upper half of a product of sixteen bits: one instruction
+        let way = color.wrapping_sub(was[lane]) << 1;
+        canvas[lane] = was[lane].wrapping_add(((i32::from(way) * i32::from(opacity[lane])) >> 16) as i16);
     }
 }
