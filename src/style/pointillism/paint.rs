@@ -8,6 +8,7 @@
 //! sixteen pixels at a time. A stroke adds at most 1.3 canvas steps of error (one from rounding down, the rest from the
 //! opacity) and the strokes over it weaken what it added; with the default settings one byte in 150 is off, by one.
 
+use super::grid::MAX_RADIUS;
 use super::sprite::{LANES, Stamps};
 use crate::kernel::band_rows;
 use crate::pixels::simd::{Level, dispatch};
@@ -19,6 +20,12 @@ use rayon::prelude::*;
 const ACROSS: usize = 64;
 /// Rows of a block.
 const DOWN: usize = 32;
+/// Columns on either side of a block that strokes may spill onto: the widest stroke, in whole vectors.
+const MARGIN: usize = (2 * MAX_RADIUS as usize + 1).next_multiple_of(LANES);
+/// Columns of a canvas; known here, so that bounds are checked once a stroke. The cache sees only those in use.
+const STRIDE: usize = ACROSS + 2 * MARGIN;
+/// A row of a block: R, G, B.
+type Line = [[i16; STRIDE]; 3];
 /// Canvas steps in a level.
 const LEVEL: i32 = 64;
 /// Full brightness.
@@ -111,7 +118,7 @@ fn touched(size: Size, stamps: &Stamps, stroke: &Stroke, mut each: impl FnMut(us
 /// The canvases that blocks are painted on, one a band of rows.
 #[derive(Debug, Default)]
 pub(super) struct Easel {
-    canvases: Vec<Vec<i16>>,
+    canvases: Vec<Vec<Line>>,
 }
 
 /// Borrowed inputs of a painting.
@@ -132,19 +139,18 @@ impl Easel {
     pub fn paint(&mut self, level: Level, painting: Painting<'_>, out: &mut Rgb) {
         let height = painting.picture.size().height;
         let rows = band_rows(height, DOWN).next_multiple_of(DOWN);
-        let margin = painting.stamps.widest();
         let bands = height.div_ceil(rows.max(1));
         if self.canvases.len() < bands {
             self.canvases.resize_with(bands, Vec::new);
         }
         for canvas in &mut self.canvases[..bands] {
-            canvas.resize(3 * DOWN * (ACROSS + 2 * margin), 0);
+            canvas.resize(DOWN, [[0; STRIDE]; 3]);
         }
         let [r, g, b] = &mut out.planes;
         let work = r.view_mut().par_bands(rows).zip(g.view_mut().par_bands(rows));
         let work = work.zip(b.view_mut().par_bands(rows)).zip(&mut self.canvases);
         work.for_each(|((((first, r), (_, g)), (_, b)), canvas)| {
-            dispatch!(level, simd => paint_band(simd, painting, first, margin, canvas, [r, g, b]));
+            dispatch!(level, simd => paint_band(simd, painting, first, canvas, [r, g, b]));
         });
     }
 }
@@ -154,45 +160,36 @@ fn paint_band<S: Simd>(
     _simd: S,
     painting: Painting<'_>,
     first: usize,
-    margin: usize,
-    canvas: &mut [i16],
+    canvas: &mut [Line],
     mut out: [PlaneMut<'_, u8>; 3],
 ) {
     let size = painting.picture.size();
-    let stride = ACROSS + 2 * margin;
     let height = out[0].size().height;
     for top in (0..height).step_by(DOWN) {
         let rows = DOWN.min(height - top);
         for column in 0..size.width.div_ceil(ACROSS) {
             let left = column * ACROSS;
             let width = ACROSS.min(size.width - left);
-            for y in 0..rows {
-                for (c, plane) in painting.picture.planes.iter().enumerate() {
+            for (y, line) in canvas[..rows].iter_mut().enumerate() {
+                for (to, plane) in line.iter_mut().zip(&painting.picture.planes) {
                     let from = &plane.row(first + top + y)[left..left + width];
-                    let to = &mut canvas[(3 * y + c) * stride + margin..][..width];
+                    let to = &mut to[MARGIN..MARGIN + width];
                     for x in 0..width {
                         to[x] = i16::from(from[x]) << 6;
                     }
                 }
             }
             let row = (first + top) / DOWN;
-            let mut block = Block { canvas, stride, margin, left, top: first + top, rows };
+            let mut block = Block { lines: &mut canvas[..rows], left, top: first + top };
             for stroke in painting.sampled.of(column, row) {
-                let x = stroke.x.clamp(0, size.width as i32 - 1) as usize;
-                let y = stroke.y.clamp(0, size.height as i32 - 1) as usize;
-                let mut color = stroke.color;
-                for c in 0..3 {
-                    let at = i32::from(painting.picture.planes[c].at(x, y)) * LEVEL;
-                    color[c] = (at + i32::from(color[c])).clamp(0, WHITE) as i16;
-                }
-                block.stroke(painting.stamps, stroke, color);
+                block.stroke(painting.stamps, stroke, sampled(painting.picture, stroke));
             }
             for stroke in painting.colored.map_or(&[][..], |colored| colored.of(column, row)) {
                 block.stroke(painting.stamps, stroke, stroke.color);
             }
-            for y in 0..rows {
-                for (c, plane) in out.iter_mut().enumerate() {
-                    let from = &canvas[(3 * y + c) * stride + margin..][..width];
+            for (y, line) in canvas[..rows].iter().enumerate() {
+                for (from, plane) in line.iter().zip(&mut out) {
+                    let from = &from[MARGIN..MARGIN + width];
                     let to = &mut plane.row_mut(top + y)[left..left + width];
                     for x in 0..width {
                         to[x] = ((from[x] + 32) >> 6) as u8;
@@ -203,14 +200,24 @@ fn paint_band<S: Simd>(
     }
 }
 
-/// One block's canvas: rows of R, G, B, `margin` junk columns on either side.
+/// The picture's color at a stroke's middle, or at the pixel of the frame nearest to it, and the stroke's added.
+#[inline(always)]
+fn sampled(picture: &Rgb, stroke: &Stroke) -> [i16; 3] {
+    let size = picture.size();
+    let x = stroke.x.clamp(0, size.width as i32 - 1) as usize;
+    let y = stroke.y.clamp(0, size.height as i32 - 1) as usize;
+    let mut color = stroke.color;
+    for (channel, plane) in color.iter_mut().zip(&picture.planes) {
+        *channel = (i32::from(plane.at(x, y)) * LEVEL + i32::from(*channel)).clamp(0, WHITE) as i16;
+    }
+    color
+}
+
+/// One block's canvas and where its first pixel is.
 struct Block<'a> {
-    canvas: &'a mut [i16],
-    stride: usize,
-    margin: usize,
+    lines: &'a mut [Line],
     left: usize,
     top: usize,
-    rows: usize,
 }
 
 impl Block<'_> {
@@ -219,32 +226,39 @@ impl Block<'_> {
         let (stamp, radius) = (stamps.of(stroke.radius), i32::from(stroke.radius));
         let top = stroke.y - radius + stamp.skipped as i32 - self.top as i32;
         let from = (-top).max(0);
-        let to = (self.rows as i32 - top).min(stamp.height as i32);
+        let to = (self.lines.len() as i32 - top).min(stamp.height as i32);
         if from >= to {
             return;
         }
         let rows = stamps.rows(stamp, from as usize, to as usize);
-        let left = (stroke.x - radius - self.left as i32 + self.margin as i32) as usize;
-        let mut at = 3 * (top + from) as usize * self.stride + left;
-        let [r, g, b] = color;
+        let lines = &mut self.lines[(top + from) as usize..(top + to) as usize];
+        let left = (stroke.x - radius - self.left as i32 + MARGIN as i32) as usize;
         // loops over indices: what an iterator's chain leaves as a call runs without the level's instructions
-        let mut k = 0;
-        while k < rows.len() {
-            for vector in 0..stamp.vectors {
-                let x = at + vector * LANES;
-                blend(self.canvas, x, &rows[k], r);
-                blend(self.canvas, x + self.stride, &rows[k], g);
-                blend(self.canvas, x + 2 * self.stride, &rows[k], b);
-                k += 1;
+        if stamp.vectors == 1 && left + LANES <= STRIDE && rows.len() == lines.len() {
+            for k in 0..lines.len() {
+                lay(&mut lines[k], left, &rows[k], color);
             }
-            at += 3 * self.stride;
+        } else {
+            for k in 0..lines.len() {
+                for vector in 0..stamp.vectors {
+                    lay(&mut lines[k], left + vector * LANES, &rows[k * stamp.vectors + vector], color);
+                }
+            }
         }
     }
 }
 
-/// Lays `color` over sixteen pixels of the canvas: `d += floor((color - d)·a)`.
+/// Lays `color` over sixteen pixels of a row.
 #[inline(always)]
-fn blend(canvas: &mut [i16], at: usize, opacity: &[i16; LANES], color: i16) {
+fn lay([r, g, b]: &mut Line, at: usize, opacity: &[i16; LANES], color: [i16; 3]) {
+    blend(r, at, opacity, color[0]);
+    blend(g, at, opacity, color[1]);
+    blend(b, at, opacity, color[2]);
+}
+
+/// Lays one channel over sixteen pixels: `d += floor((color - d)·a)`.
+#[inline(always)]
+fn blend(canvas: &mut [i16; STRIDE], at: usize, opacity: &[i16; LANES], color: i16) {
     let Some(Ok(canvas)) = canvas.get_mut(at..at + LANES).map(<&mut [i16; LANES]>::try_from) else { return };
     let (was, opacity) = (*canvas, *opacity);
     for lane in 0..LANES {
