@@ -110,6 +110,19 @@ impl Needs {
     }
 }
 
+/// A point of a model as it is seen, hidden or not.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Particle {
+    /// Where it is in the picture, px; inside it.
+    pub x: f32,
+    /// Where it is in the picture, px; inside it.
+    pub y: f32,
+    /// Camera z, mm.
+    pub z: f32,
+    /// Lit red, green, blue, 0..1.
+    pub color: [f32; 3],
+}
+
 /// The renderer's output: the drawn models over nothing. Outside `touched` tiles every plane holds its
 /// background; products that were not asked for keep size 0x0.
 #[derive(Clone, Debug, Default)]
@@ -128,12 +141,14 @@ pub struct Layer {
     pub silhouette: Plane<u8>,
     /// The secondary models alone, their depth and normal; they are then in no other product.
     pub secondary: Option<Box<Layer>>,
+    /// The models' points that face the viewer, far to near; its capacity is the most there can be.
+    pub particles: Vec<Particle>,
     /// Nearest and farthest camera z of all drawn models, mm (secondary
     /// ones left out where they are apart); the first is the larger when nothing is drawn.
     pub extent: [f32; 2],
     /// Unit vector towards the light that shaded the models, camera space.
     pub light: Vec3,
-    /// Tiles with at least one pixel that is covered or on a line, secondary models included.
+    /// Tiles with at least one pixel that is covered, on a line or under a particle, secondary models included.
     pub touched: TileSet,
     /// How the picture divides into those tiles.
     pub grid: Option<TileGrid>,

@@ -25,7 +25,7 @@ fn frame(size: Size) -> Frame {
 fn model(mesh: Mesh, secondary: bool) -> Model {
     Model {
         name: "test".into(),
-        mesh,
+        mesh: mesh.into(),
         anchor: Anchor { family: Family::Tag36h11, id: None, side_mm: 80.0 },
         to_marker: DAffine3::IDENTITY,
         shading: Shading::Smooth,
@@ -151,6 +151,7 @@ fn line_width_and_toon_settings_reach_the_renderer() {
         (StyleName::Illustrative, "beta_layer", "0.8"),
         (StyleName::Illustrative, "normal_threshold", "5"),
         (StyleName::Illustrative, "depth_threshold", "nan"),
+        (StyleName::Illustrative, "depth_fit", "0"),
         (StyleName::Illustrative, "secondary_red", "-1"),
     ] {
         let error = named(style).set(key, value).expect_err(key).to_string();
@@ -204,9 +205,9 @@ fn the_illustrative_object_side_matches_the_reference() {
     for size in SIZES {
         for (models, settings) in [
             (&[0, 1][..], &[][..]),
-            (&[0, 1], &[("depth_threshold", "0.05"), ("normal_threshold", "3.5")]),
-            (&[0], &[("depth_threshold", "0.05")]),
-            (&[1], &[("depth_threshold", "0.2"), ("normal_threshold", "-4")]),
+            (&[0, 1], &[("depth_fit", "1"), ("depth_threshold", "0.05"), ("normal_threshold", "3.5")]),
+            (&[0], &[("depth_fit", "1")]),
+            (&[1], &[("depth_fit", "0.5"), ("normal_threshold", "-4")]),
         ] {
             let mut config = named(StyleName::Illustrative);
             for (key, value) in settings {

@@ -99,7 +99,7 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     let (vertices, triangles) = (mesh.positions.len(), mesh.triangles.len());
     let model = Model {
         name: name.clone().into_owned(),
-        mesh,
+        mesh: mesh.into(),
         anchor: Anchor { family: Family::Tag36h11, id: None, side_mm: 1.0 },
         to_marker: DAffine3::IDENTITY,
         shading,

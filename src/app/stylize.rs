@@ -40,7 +40,9 @@ Of watercolor: cell, alpha, beta, threshold, min_edge, retile_every, seed, sites
 `sites` of one run may be fed to the next). Of illustrative: alpha, edge_threshold, theta, n, c_cross, gamma,
 paper_red, paper_green, paper_blue. Of sketchy: threshold, depth_threshold, slope_guard, sigma, density, step, points,
 half_width, depth_width, opacity, renderer (lines, polygons, sprites), fade, lifetime, brush (a gray picture), seed,
-lively, starts (a .npy file, N x 2), paper (true, false or a gray picture), color, blur, strokes, border. The result is the same for any number of threads and on any processor.")]
+lively, starts (a .npy file, N x 2), paper (true, false or a gray picture), color, blur, strokes, border.
+Of pointillism: col_skip, row_skip, range, radius_min, radius_max, color_offset, opacity, num_particles, seed, sprite
+(a gray picture), grid (a .npy file, N x 6, as the stage `grid`). The result is the same for any number of threads and on any processor.")]
 pub struct Args {
     /// Pictures, folders of pictures, or Y4M clips (- is stdin).
     #[arg(required = true, value_name = "INPUT")]
@@ -61,7 +63,7 @@ pub struct Args {
     /// several inputs each gets a folder of its name. cartoon: small S eS eA I; bilateral-cartoon: pyramid
     /// filtered edges; sketch-like: edges; watercolor: labels means response edge sites (and cells.svg: its cells as
     /// colored polygons); illustrative: response intensity halftone; sketchy: blur edge fx fy stroke_len (one a
-    /// stroke) stroke_pts (points x 2).
+    /// stroke) stroke_pts (points x 2); pointillism: grid.
     #[arg(long, value_name = "DIR")]
     stages: Option<PathBuf>,
     /// Draws every input this often, from scratch each time, and prints the times: interleaved RGB bytes in
@@ -367,6 +369,10 @@ impl Job {
                     ("intensity", vec![stages.intensity]),
                     ("halftone", vec![stages.halftone]),
                 ]
+            }
+            StyleName::Pointillism => {
+                let style = style::pointillism::Pointillism::new(config.pointillism.clone(), level);
+                vec![("grid", vec![style.grid(self.size)])]
             }
             StyleName::Sketchy => {
                 let config = config.sketchy.clone();

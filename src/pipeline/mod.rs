@@ -140,7 +140,8 @@ impl Pipeline {
         self.renderer.draw(&self.scene, &self.placed, &self.camera, self.stylers.look(slot));
         let color = Rgb::new(size, [128; 3]);
         let frame = Frame { luma: Plane::new(size, 128), color, ..Frame::default() };
-        let layer = empty_layer(size);
+        let mut layer = empty_layer(size);
+        layer.particles.reserve(self.renderer.layer().particles.capacity());
         let styler = self.stylers.get(slot);
         styler.anchor(self.anchor.is_some().then_some(Similarity::IDENTITY));
         self.other.resize(size);

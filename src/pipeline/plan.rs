@@ -52,6 +52,8 @@ pub struct Plan {
     pub silhouettes: Step,
     /// Secondary models apart from the others.
     pub secondary: Step,
+    /// The models as points.
+    pub particles: Step,
     /// Filter the picture.
     pub style: Step,
     /// Let the style's pattern move with the scene.
@@ -177,6 +179,11 @@ impl Plan {
                     false => "the scene has no secondary model",
                 },
             ),
+            particles: part(
+                Needs::PARTICLES,
+                "the style draws particles",
+                "the style draws surfaces, not particles",
+            ),
             style: if filters {
                 Step::run("the style filters the whole picture")
             } else {
@@ -213,6 +220,7 @@ impl fmt::Display for Plan {
             ("  second layer", self.second_layer),
             ("  silhouettes", self.silhouettes),
             ("  secondary", self.secondary),
+            ("  particles", self.particles),
             ("filter picture", self.style),
             ("anchor pattern", self.anchor),
             ("style a part", self.part),
@@ -236,7 +244,7 @@ mod tests {
     fn scene(models: usize, secondary: bool) -> Scene {
         let model = Model {
             name: "cube".into(),
-            mesh: Mesh::default(),
+            mesh: Mesh::default().into(),
             anchor: Anchor { family: Family::Tag36h11, id: None, side_mm: 80.0 },
             to_marker: DAffine3::IDENTITY,
             shading: Shading::Smooth,
@@ -253,21 +261,24 @@ mod tests {
         let lines = Needs::COLOR.and(Needs::SILHOUETTE);
         let inside = both.and(Needs::SECONDARY);
         let (apart, same) = (true, false);
-        // models in scene, secondary or not, needs, view → track, render, normal, second layer, silhouettes, secondary
+        // models in scene, secondary or not, needs, view → track, render, normal, second layer, silhouettes, secondary,
+        // particles
         let table = [
-            (0, same, color, View::Unknown, "------"),
-            (1, same, Needs::NOTHING, View::Unknown, "------"),
-            (1, same, color, View::Unknown, "tr----"),
-            (1, same, color, View::Models(0), "t-----"),
-            (2, same, color, View::Models(1), "tr----"),
-            (1, same, both, View::Models(1), "trns--"),
-            (1, same, both, View::Models(0), "t-----"),
-            (1, same, lines, View::Models(1), "tr--l-"),
-            (1, same, lines, View::Models(0), "t-----"),
-            (2, apart, inside, View::Models(2), "trns-i"),
-            (2, apart, inside, View::Models(0), "t-----"),
-            (2, same, inside, View::Models(2), "trns--"),
-            (2, apart, both, View::Models(2), "trns--"),
+            (0, same, color, View::Unknown, "-------"),
+            (1, same, Needs::NOTHING, View::Unknown, "-------"),
+            (1, same, color, View::Unknown, "tr-----"),
+            (1, same, color, View::Models(0), "t------"),
+            (2, same, color, View::Models(1), "tr-----"),
+            (1, same, both, View::Models(1), "trns---"),
+            (1, same, both, View::Models(0), "t------"),
+            (1, same, lines, View::Models(1), "tr--l--"),
+            (1, same, lines, View::Models(0), "t------"),
+            (2, apart, inside, View::Models(2), "trns-i-"),
+            (2, apart, inside, View::Models(0), "t------"),
+            (2, same, inside, View::Models(2), "trns---"),
+            (2, apart, both, View::Models(2), "trns---"),
+            (1, same, Needs::PARTICLES, View::Models(1), "tr----p"),
+            (1, same, Needs::PARTICLES, View::Models(0), "t------"),
         ];
         for (models, secondary, needs, view, expected) in table {
             let plan = Plan::new(
@@ -275,10 +286,17 @@ mod tests {
                 Wants { needs, filters: true, ..Wants::default() },
                 view,
             );
-            let steps =
-                [plan.track, plan.render, plan.normal, plan.second_layer, plan.silhouettes, plan.secondary];
+            let steps = [
+                plan.track,
+                plan.render,
+                plan.normal,
+                plan.second_layer,
+                plan.silhouettes,
+                plan.secondary,
+                plan.particles,
+            ];
             let got: String =
-                steps.iter().zip("trnsli".chars()).map(|(s, c)| if s.runs { c } else { '-' }).collect();
+                steps.iter().zip("trnslip".chars()).map(|(s, c)| if s.runs { c } else { '-' }).collect();
             assert_eq!(got, expected, "{models} models, {needs:?}, {view:?}");
             assert_eq!(
                 plan.needs == Needs::NOTHING,

@@ -9,6 +9,8 @@
 //! 5. `resolve`: covered tiles are written into the layer; tiles covered last time only are cleared.
 //! 6. `silhouette`: thick outlines are drawn over the depth, where they are asked for.
 //!
+//! Apart from these, `particles` turns models into points for styles that ask for them.
+//!
 //! Coverage follows vertices snapped to 1/256 px with the top-left rule; depth and attributes come from the
 //! unsnapped vertices. Equal depths keep the first submitted. The same bytes for every thread count and
 //! SIMD level: chunks and tiles are cut by size alone, and all arithmetic is + - × ÷ sqrt in a fixed order.
@@ -16,6 +18,7 @@
 mod bins;
 mod clip;
 mod field;
+mod particles;
 mod raster;
 mod resolve;
 mod shade;
@@ -30,11 +33,14 @@ use crate::scene::{Scene, Shading};
 use bins::Chunk;
 use field::Field;
 use glam::DAffine3;
+use particles::Particles;
 use raster::Slot;
 use rayon::prelude::*;
 use shade::Surface;
 use silhouette::Silhouette;
 use vertex::Vertex;
+
+pub use particles::Scatter;
 
 /// The camera as the renderer sees it.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -56,6 +62,8 @@ pub struct Look {
     pub shading: Option<Shading>,
     /// Width of silhouette lines, px.
     pub line_width: f64,
+    /// How models become particles.
+    pub scatter: Scatter,
 }
 
 impl From<Needs> for Look {
@@ -116,6 +124,9 @@ pub struct Renderer {
     silhouette: Silhouette,
     /// Draws the secondary models where they are apart.
     secondary: Option<Box<Renderer>>,
+    particles: Particles,
+    /// Where its layer goes when it is done.
+    spare: Option<Box<Layer>>,
 }
 
 /// One placed model of this frame: where its vertices, surfaces and chunks are.
@@ -156,6 +167,8 @@ impl Renderer {
             slot_of: Vec::new(),
             silhouette: Silhouette::default(),
             secondary: None,
+            particles: Particles::default(),
+            spare: None,
         }
     }
 
@@ -180,26 +193,24 @@ impl Renderer {
         look: impl Into<Look>,
     ) -> &Layer {
         let look = look.into();
-        if look.needs.includes(Needs::SECONDARY) {
-            self.draw_part(scene, placed, camera, look, Part::Primary);
-            self.draw_secondary(scene, placed, camera);
-        } else {
-            (self.secondary, self.layer.secondary) = (None, None);
-            self.draw_part(scene, placed, camera, look, Part::Whole);
+        // between frames the secondary models' layer is part of ours; to be drawn it goes back to its renderer
+        if let (Some(mut layer), Some(renderer)) = (self.layer.secondary.take(), &mut self.secondary) {
+            std::mem::swap(&mut *layer, &mut renderer.layer);
+            self.spare = Some(layer);
         }
-        &self.layer
-    }
-
-    /// Draws the secondary models into a layer of their own.
-    fn draw_secondary(&mut self, scene: &Scene, placed: &[Placed], camera: &Camera) {
+        if !look.needs.includes(Needs::SECONDARY) {
+            self.draw_part(scene, placed, camera, look, Part::Whole);
+            return &self.layer;
+        }
+        self.draw_part(scene, placed, camera, look, Part::Primary);
         let level = self.level;
         let renderer = self.secondary.get_or_insert_with(|| Box::new(Renderer::new(level)));
-        // the other renderer's layer lives in ours between frames
-        let layer = self.layer.secondary.get_or_insert_default();
-        std::mem::swap(&mut **layer, &mut renderer.layer);
         renderer.draw_part(scene, placed, camera, Needs::NORMAL.into(), Part::Secondary);
-        std::mem::swap(&mut **layer, &mut renderer.layer);
-        self.layer.touched.union(&layer.touched);
+        self.layer.touched.union(&renderer.layer.touched);
+        let mut layer = self.spare.take().unwrap_or_default();
+        std::mem::swap(&mut *layer, &mut renderer.layer);
+        self.layer.secondary = Some(layer);
+        &self.layer
     }
 
     fn draw_part(&mut self, scene: &Scene, placed: &[Placed], camera: &Camera, look: Look, part: Part) {
@@ -216,12 +227,16 @@ impl Renderer {
         self.slot_of.resize(grid.count(), u32::MAX);
         self.silhouette.clear();
         let usable = camera.near > 0.0 && camera.far > camera.near && camera.far.is_finite();
+        let drawn = size.area() > 0 && size.width.max(size.height) <= MAX_SIDE;
+        let drawn = drawn && usable && needs != Needs::NOTHING;
         let mut used = 0;
-        if usable && needs != Needs::NOTHING && size.area() > 0 && size.width.max(size.height) <= MAX_SIDE {
+        if drawn {
             if self.field.as_ref().is_none_or(|field| *field.lens() != camera.lens) {
                 self.field = Some(Field::new(camera.lens));
             }
-            used = self.rasterise(scene, placed, camera, grid, look, part);
+            if needs.without(Needs::PARTICLES) != Needs::NOTHING {
+                used = self.rasterise(scene, placed, camera, grid, look, part);
+            }
         }
         for (k, slot) in self.slots[..used].iter().enumerate() {
             if slot.covered {
@@ -233,6 +248,10 @@ impl Renderer {
         if needs.includes(Needs::SILHOUETTE) {
             self.silhouette.draw(&mut self.layer, grid, &self.previous, look.line_width, camera.far);
         }
+        self.layer.particles.clear();
+        if drawn && needs.includes(Needs::PARTICLES) {
+            self.scatter(scene, placed, camera, grid, look.scatter);
+        }
     }
 
     /// Gives the layer's planes the size that `needs` wants, all background when anything changed.
@@ -243,7 +262,7 @@ impl Renderer {
         let none = Size::new(0, 0);
         let when = |wanted: bool| if wanted { size } else { none };
         let color = when(needs.includes(Needs::COLOR));
-        let depth = when(needs != Needs::NOTHING);
+        let depth = when(needs.without(Needs::PARTICLES) != Needs::NOTHING);
         let normal = when(needs.includes(Needs::NORMAL));
         let second = when(needs.includes(Needs::SECOND_LAYER));
         for plane in &mut self.layer.color.planes {
@@ -271,6 +290,30 @@ impl Renderer {
             slot.fit(needs);
         }
         self.shape = Some((size, needs));
+    }
+
+    /// The models as particles.
+    fn scatter(
+        &mut self,
+        scene: &Scene,
+        placed: &[Placed],
+        camera: &Camera,
+        grid: TileGrid,
+        scatter: Scatter,
+    ) {
+        let Self { layer, field, particles, .. } = self;
+        let Some(field) = field.as_ref() else { return };
+        particles.draw(scene, placed, camera, field, scatter, &mut layer.particles);
+        for particle in &layer.particles {
+            let at = |v: f32, length: usize| ((v + 0.5) as usize).min(length - 1) / TILE;
+            let size = camera.lens.size;
+            let (column, row) = (at(particle.x, size.width), at(particle.y, size.height));
+            layer.touched.insert(row * grid.columns() + column);
+        }
+        let depth = |particle: Option<&crate::frame::Particle>| particle.map(|particle| particle.z);
+        if let (Some(far), Some(near)) = (depth(layer.particles.first()), depth(layer.particles.last())) {
+            layer.extent = [layer.extent[0].min(near), layer.extent[1].max(far)];
+        }
     }
 
     /// Steps 1 to 4; returns how many slots hold tiles.

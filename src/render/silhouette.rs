@@ -13,6 +13,7 @@ use super::vertex::Vertex;
 use super::{Instance, View, clip};
 use crate::frame::Layer;
 use crate::pixels::{PlaneMut, TILE, TileGrid, TileSet};
+use crate::scene::Mesh;
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 
@@ -48,18 +49,23 @@ impl Silhouette {
     /// Lists the lines of the placed models.
     pub fn find(&mut self, view: &View<'_>) {
         self.lines.clear();
-        let edges_of = |i: &Instance| view.scene.models[i.placed.model].mesh.edges();
-        let all = view.instances.iter().map(edges_of).map(|edges| edges.closed.len() + edges.open.len());
-        self.lines.reserve(all.sum::<usize>().min(KEPT_LINES));
+        // of all models, in view or not: their edges are found and room is made before they come
+        let count = |mesh: &Mesh| mesh.edges().closed.len() + mesh.edges().open.len();
+        let known: usize = view.scene.models.iter().map(|model| count(&model.mesh)).sum();
+        let placed = view.instances.iter().map(|i| count(&view.scene.models[i.placed.model].mesh));
+        let triangles = view.scene.models.iter().map(|model| model.mesh.triangles.len()).max();
+        self.fronts.resize(triangles.unwrap_or(0), false);
+        self.lines.reserve(known.max(placed.sum()).min(KEPT_LINES));
         for instance in view.instances {
             let mesh = &view.scene.models[instance.placed.model].mesh;
             let edges = mesh.edges();
-            self.fronts.resize(mesh.triangles.len(), false);
-            self.fronts.par_chunks_mut(1024).enumerate().for_each(|(chunk, fronts)| {
-                for (front, triangle) in fronts.iter_mut().zip(&mesh.triangles[1024 * chunk..]) {
-                    *front = faces_camera(view, instance, *triangle);
-                }
-            });
+            self.fronts[..mesh.triangles.len()].par_chunks_mut(1024).enumerate().for_each(
+                |(chunk, fronts)| {
+                    for (front, triangle) in fronts.iter_mut().zip(&mesh.triangles[1024 * chunk..]) {
+                        *front = faces_camera(view, instance, *triangle);
+                    }
+                },
+            );
             // a mirrored model shows its inside: nothing is known to be hidden
             let closed_counts = instance.placed.to_camera.matrix3.determinant() > 0.0;
             for edge in &edges.closed {
@@ -87,6 +93,9 @@ impl Silhouette {
     pub fn draw(&mut self, layer: &mut Layer, grid: TileGrid, previous: &TileSet, line_width: f64, far: f64) {
         self.reached.clear();
         self.reached.resize(grid.rows(), [0; ROW_WORDS]);
+        if self.lines.is_empty() && previous.is_empty() {
+            return;
+        }
         let Layer { silhouette, depth, touched, .. } = layer;
         let (lines, depth) = (&self.lines, &*depth);
         let bands = silhouette.view_mut().par_bands(TILE).zip(&mut self.reached).with_max_len(1);

@@ -195,7 +195,7 @@ impl ModelConfig {
         let to_marker = self.to_marker(&mesh);
         Ok(Model {
             name: self.file.clone(),
-            mesh,
+            mesh: mesh.into(),
             anchor: Anchor { family: self.marker.family, id: self.marker.id, side_mm: self.marker.side_mm },
             to_marker,
             shading: match self.shading {

@@ -17,6 +17,7 @@ pub use obj::{Limits, ModelError};
 
 use crate::marker::Family;
 use glam::{DAffine3, DVec3, Vec3};
+use std::sync::Arc;
 
 /// Everything that is to be drawn.
 #[derive(Clone, Debug, Default)]
@@ -33,7 +34,7 @@ pub struct Model {
     /// What it is called in messages and plans.
     pub name: String,
     /// The triangles.
-    pub mesh: Mesh,
+    pub mesh: Arc<Mesh>,
     /// The marker it stands on.
     pub anchor: Anchor,
     /// Mesh coordinates → marker space in mm.

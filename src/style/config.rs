@@ -1,6 +1,6 @@
 //! Settings of all styles: what the scene file's `[style]` table and `--set key=value` reach.
 
-use super::{bilateral, cartoon, illustrative, sketchy, watercolor};
+use super::{bilateral, cartoon, illustrative, pointillism, sketchy, watercolor};
 use crate::retouch::{RangeError, part};
 use serde::{Deserialize, Serialize};
 
@@ -21,6 +21,8 @@ pub enum StyleName {
     Watercolor,
     /// Black edges and cross-hatching on paper.
     Illustrative,
+    /// Thousands of small brush strokes.
+    Pointillism,
     /// Blurred colors on paper under pencil strokes along the silhouettes.
     Sketchy,
 }
@@ -35,6 +37,7 @@ impl StyleName {
             StyleName::SketchLike => "sketch-like",
             StyleName::Watercolor => "watercolor",
             StyleName::Illustrative => "illustrative",
+            StyleName::Pointillism => "pointillism",
             StyleName::Sketchy => "sketchy",
         }
     }
@@ -51,7 +54,7 @@ impl std::fmt::Display for StyleName {
 #[serde(deny_unknown_fields, default)]
 pub struct Config {
     /// The style to draw: "plain", "cartoon", "bilateral-cartoon", "sketch-like", "watercolor",
-    /// "illustrative" or "sketchy". Default "cartoon".
+    /// "illustrative", "pointillism" or "sketchy". Default "cartoon".
     pub name: StyleName,
     /// Time over which one style fades into the next, ms, 0 (at once) to 5000. Default 300.
     pub fade_ms: u32,
@@ -75,6 +78,8 @@ pub struct Config {
     pub watercolor: watercolor::Config,
     /// Settings of the illustrative style.
     pub illustrative: illustrative::Config,
+    /// Settings of the pointillism style.
+    pub pointillism: pointillism::Config,
     /// Settings of the sketchy style.
     pub sketchy: sketchy::Config,
 }
@@ -92,6 +97,7 @@ impl Default for Config {
             sketch_like: Default::default(),
             watercolor: Default::default(),
             illustrative: Default::default(),
+            pointillism: Default::default(),
             sketchy: Default::default(),
         }
     }
@@ -164,6 +170,7 @@ impl Config {
         self.sketch_like.validate()?;
         self.watercolor.validate()?;
         self.illustrative.validate()?;
+        self.pointillism.validate()?;
         self.sketchy.validate()
     }
 
@@ -190,6 +197,10 @@ impl Config {
             StyleName::Illustrative => {
                 self.illustrative = edited(self.name, &self.illustrative, key, value)?;
                 self.illustrative.validate()
+            }
+            StyleName::Pointillism => {
+                self.pointillism = edited(self.name, &self.pointillism, key, value)?;
+                self.pointillism.validate()
             }
             StyleName::Sketchy => {
                 self.sketchy = edited(self.name, &self.sketchy, key, value)?;

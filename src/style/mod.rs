@@ -11,6 +11,7 @@ mod config;
 pub mod illustrative;
 mod lattice;
 pub mod plain;
+pub mod pointillism;
 pub mod sketchy;
 pub mod watercolor;
 
@@ -53,6 +54,7 @@ pub fn reference(config: &Config, augmented: &Rgb) -> Rgb {
         StyleName::SketchLike => bilateral::sketch_reference(&config.sketch_like, augmented),
         StyleName::Watercolor => watercolor::reference(&config.watercolor, augmented),
         StyleName::Illustrative => illustrative::reference(&config.illustrative, augmented),
+        StyleName::Pointillism => pointillism::reference(&config.pointillism, augmented),
         StyleName::Sketchy => sketchy::reference(&config.sketchy, augmented),
     }
 }
@@ -71,6 +73,8 @@ pub enum Styler {
     Watercolor(Box<watercolor::Watercolor>),
     /// Edges and hatching on paper.
     Illustrative(Box<illustrative::Illustrative>),
+    /// Small brush strokes.
+    Pointillism(Box<pointillism::Pointillism>),
     /// A blurred picture on paper under pencil strokes.
     Sketchy(Box<sketchy::Sketchy>),
 }
@@ -96,6 +100,10 @@ impl Styler {
             StyleName::Illustrative => {
                 Styler::Illustrative(Box::new(illustrative::Illustrative::new(config.illustrative, level)))
             }
+            StyleName::Pointillism => {
+                let config = config.pointillism.clone();
+                Styler::Pointillism(Box::new(pointillism::Pointillism::new(config, level)))
+            }
             StyleName::Sketchy => {
                 Styler::Sketchy(Box::new(sketchy::Sketchy::new(config.sketchy.clone(), level)))
             }
@@ -111,6 +119,7 @@ impl Styler {
             Styler::SketchLike(_) => StyleName::SketchLike,
             Styler::Watercolor(_) => StyleName::Watercolor,
             Styler::Illustrative(_) => StyleName::Illustrative,
+            Styler::Pointillism(_) => StyleName::Pointillism,
             Styler::Sketchy(_) => StyleName::Sketchy,
         }
     }
@@ -124,6 +133,7 @@ impl Styler {
             Styler::SketchLike(style) => style.look(),
             Styler::Watercolor(style) => style.look(),
             Styler::Illustrative(style) => style.look(),
+            Styler::Pointillism(style) => style.look(),
             Styler::Sketchy(style) => style.look(),
         }
     }
@@ -162,6 +172,7 @@ impl Styler {
             Styler::SketchLike(style) => style.draw(input, out),
             Styler::Watercolor(style) => style.draw(input, out),
             Styler::Illustrative(style) => style.draw(input, out),
+            Styler::Pointillism(style) => style.draw(input, out),
             Styler::Sketchy(style) => style.draw(input, out),
         }
     }

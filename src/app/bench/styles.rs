@@ -25,6 +25,11 @@ fn ladder(style: StyleName) -> &'static [&'static [(&'static str, &'static str)]
             &[&[("iterations", "1")], &[("levels", "3")], &[("levels", "1")], &[("levels", "4")]]
         }
         StyleName::Watercolor => &[&[("cell", "6")], &[("cell", "12")], &[("cell", "16")]],
+        StyleName::Pointillism => &[
+            &[("col_skip", "4"), ("row_skip", "4")],
+            &[("col_skip", "6"), ("row_skip", "6")],
+            &[("col_skip", "8"), ("row_skip", "8")],
+        ],
         StyleName::Sketchy => &[
             &[("density", ".06")],
             &[("points", "6")],

@@ -81,7 +81,7 @@ fn painted(mut mesh: Mesh, color: [f32; 3]) -> Mesh {
 fn model(name: &str, mesh: Mesh) -> Model {
     Model {
         name: name.into(),
-        mesh,
+        mesh: mesh.into(),
         anchor: Anchor { family: Family::Tag36h11, id: None, side_mm: 1.0 },
         to_marker: DAffine3::IDENTITY,
         shading: Shading::Smooth,

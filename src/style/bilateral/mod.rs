@@ -162,6 +162,7 @@ impl Style for BilateralCartoon {
             needs: Needs::COLOR.and(Needs::SILHOUETTE),
             shading: Some(Shading::Toon { steps, base }),
             line_width: line_width.into(),
+            ..Look::default()
         }
     }
 

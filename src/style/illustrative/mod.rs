@@ -57,9 +57,14 @@ pub struct Config {
     pub beta_layer: f32,
     /// Sum of four cosines to the neighbors' normals below which a model has a line, -4 to 4. Default 3.98.
     pub normal_threshold: f32,
-    /// Gradient of the models' window depth (0 at their nearest, 1 at their farthest point) from which they have a
-    /// line, 0 to 10. Default 0.001.
+    /// Gradient of the models' window depth (0 at the near, 1 at the far plane) from which they have a line, 0 to 10.
+    /// Default 0.001.
     pub depth_threshold: f32,
+    /// How tightly those planes fit the models: the near plane lies at this share of their nearest depth, their farthest
+    /// depth at this share of the far plane; 0.001 to 1. Default 0.1: lines where a surface is seen at less than 17° or
+    /// steps back by 1 % of its distance (at `depth_threshold` 0.001). At 1, without any room, nearly every pixel of a
+    /// model would be a line.
+    pub depth_fit: f32,
     /// Red of lines on the models' second surface, 0 to 1. Default 0.45.
     pub back_layer_red: f32,
     /// Green of them, 0 to 1. Default 0.55.
@@ -90,6 +95,7 @@ impl Default for Config {
             beta_layer: 0.21,
             normal_threshold: 3.98,
             depth_threshold: 0.001,
+            depth_fit: 0.1,
             back_layer_red: 0.45,
             back_layer_green: 0.55,
             back_layer_blue: 0.75,
@@ -131,11 +137,18 @@ impl Config {
         let (beta, normal, depth) = (self.beta_layer, self.normal_threshold, self.depth_threshold);
         check("beta_layer", beta.into(), (0.0..=self.alpha_layer).contains(&beta), "0 to alpha_layer")?;
         check("normal_threshold", normal.into(), (-4.0..=4.0).contains(&normal), "-4 to 4")?;
-        check("depth_threshold", depth.into(), (0.0..=10.0).contains(&depth), "0 to 10")
+        check("depth_threshold", depth.into(), (0.0..=10.0).contains(&depth), "0 to 10")?;
+        let fit = self.depth_fit;
+        check("depth_fit", fit.into(), (0.001..=1.0).contains(&fit), "0.001 to 1")
     }
 
     fn weights(&self) -> Weights {
         Weights { yuv: [1.0 - self.alpha, self.alpha * 0.5, self.alpha * 0.5], rgb: 0.0 }
+    }
+
+    /// Near and far plane of the window depth for models of this extent.
+    fn planes(&self, [near, far]: [f32; 2]) -> [f32; 2] {
+        [near * self.depth_fit, far / self.depth_fit]
     }
 
     /// The paper in bytes.

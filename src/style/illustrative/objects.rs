@@ -38,7 +38,8 @@ struct Work<'a> {
     surfaces: [Surface<'a>; 2],
     secondary: Option<Surface<'a>>,
     light: [f32; 3],
-    /// Window depth is `scale · (z - near) / z`, 1 where nothing is: f/(f-n) · (1 - n/z) with n and f around the models.
+    /// Window depth is `scale · (z - near) / z`, 1 where nothing is: f/(f-n) · (1 - n/z) with n and f around the models
+    /// ([`Config::planes`]).
     near: f32,
     scale: f32,
 }
@@ -51,7 +52,7 @@ pub(super) fn draw(level: Level, config: &Config, halftone: &Plane<f32>, layer: 
     ];
     let [Some(first), Some(second)] = surfaces else { return };
     let secondary = layer.secondary.as_deref();
-    let [near, far] = layer.extent;
+    let [near, far] = config.planes(layer.extent);
     let work = &Work {
         config,
         halftone,

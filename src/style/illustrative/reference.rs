@@ -95,7 +95,8 @@ fn silhouette(
     if depth.at(x, y) == f32::INFINITY {
         return false;
     }
-    let (near, far) = (f64::from(near), f64::from(far));
+    let fit = f64::from(config.depth_fit);
+    let (near, far) = (f64::from(near) * fit, f64::from(far) / fit);
     let window = |x, y| match f64::from(depth.at(x, y)) {
         f64::INFINITY => 1.0,
         _ if far <= near => 0.0,

@@ -82,3 +82,37 @@ fn built_in() -> Plane<u8> {
         ((bristle * broken * side).clamp(0.0, 1.0) * 255.0 + 0.5).floor() as u8
     })
 }
+
+/// A brush to look up opacities in.
+#[derive(Clone, Copy)]
+pub struct Brush<'a> {
+    mask: &'a Plane<u8>,
+}
+
+impl<'a> Brush<'a> {
+    /// Looks up in `mask`, 255 = opaque.
+    pub fn new(mask: &'a Plane<u8>) -> Self {
+        Self { mask }
+    }
+
+    /// Opacity 0..1 at (`u`, `v`), the brush being [0,1]x[0,1]; bilinear, borders repeated.
+    #[inline(always)]
+    pub fn at(self, u: f32, v: f32) -> f32 {
+        let taps = |t: f32, count: usize| {
+            let last = (count - 1) as f32;
+            let at = (t * count as f32 - 0.5).clamp(0.0, last);
+            let first = at as usize;
+            (first, (first + 1).min(count - 1), at - first as f32)
+        };
+        let size = self.mask.size();
+        let (x0, x1, right) = taps(u, size.width);
+        let (y0, y1, down) = taps(v, size.height);
+        let row = |y: usize| {
+            let row = self.mask.row(y);
+            let (a, b) = (f32::from(row[x0]), f32::from(row[x1]));
+            a + (b - a) * right
+        };
+        let (above, below) = (row(y0), row(y1));
+        (above + (below - above) * down) / 255.0
+    }
+}

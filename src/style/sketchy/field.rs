@@ -85,14 +85,17 @@ impl<'a> Field<'a> {
     pub fn force(&self, x: usize, y: usize) -> [f64; 2] {
         match self.edge(x, y) {
             Some(edge) => edge.force,
-            None => along(self.gradient(x, y).map(f64::from)),
+            None => {
+                let [gx, gy] = self.gradient(x, y);
+                along([f64::from(gx), f64::from(gy)])
+            }
         }
     }
 
     /// Four times the gradient of the camera's red, of 0..255.
     #[inline]
     fn gradient(&self, x: usize, y: usize) -> [i32; 2] {
-        let [a, b, c] = around(self.red, x, y).map(|row| row.map(i32::from));
+        let [a, b, c] = each(around(self.red, x, y), i32::from);
         let gx = (a[2] - a[0]) + 2 * (b[2] - b[0]) + (c[2] - c[0]);
         let gy = (c[0] - a[0]) + 2 * (c[1] - a[1]) + (c[2] - a[2]);
         [gx, gy]
@@ -107,8 +110,9 @@ pub(super) fn extent(near: f64, far: f64) -> f64 {
 impl Relief<'_> {
     /// The models' edge at the middle of 3x3 depths of which one at least is finite.
     fn edge(&self, around: [[f32; 3]; 3]) -> Option<Edge> {
-        let depth = around.map(|row| {
-            row.map(|z| if z < f32::INFINITY { (f64::from(z) - self.near) * self.scale } else { BACKGROUND })
+        let depth = each(around, |z| match z < f32::INFINITY {
+            true => (f64::from(z) - self.near) * self.scale,
+            false => BACKGROUND,
         });
         let [a, b, c] = depth;
         let gx = ((a[2] - a[0]) + 2.0 * (b[2] - b[0]) + (c[2] - c[0])) * 0.25;
@@ -125,7 +129,7 @@ impl Relief<'_> {
     /// Whether 3x3 depths are those of a plane, up to the threshold: the inverse depth of a plane is linear in the
     /// picture, however steep the plane, so its second differences vanish; at a jump they are the jump.
     fn flat(&self, around: [[f32; 3]; 3]) -> bool {
-        let [a, b, c] = around.map(|row| row.map(|z| 1.0 / f64::from(z)));
+        let [a, b, c] = each(around, |z| 1.0 / f64::from(z));
         let bend = |first: f64, middle: f64, last: f64| (first - middle) - (middle - last);
         let across = (bend(a[0], a[1], a[2]) + 2.0 * bend(b[0], b[1], b[2]) + bend(c[0], c[1], c[2])) * 0.25;
         let down = (bend(a[0], b[0], c[0]) + 2.0 * bend(a[1], b[1], c[1]) + bend(a[2], b[2], c[2])) * 0.25;
@@ -143,12 +147,26 @@ fn along([gx, gy]: [f64; 2]) -> [f64; 2] {
 }
 
 /// The 3x3 samples around a pixel, borders repeated.
-#[inline]
+#[inline(always)]
 fn around<T: Copy>(plane: &Plane<T>, x: usize, y: usize) -> [[T; 3]; 3] {
-    let size = plane.size();
-    let columns = [x.saturating_sub(1), x, (x + 1).min(size.width - 1)];
-    [y.saturating_sub(1), y, (y + 1).min(size.height - 1)].map(|y| {
-        let row = plane.row(y);
-        columns.map(|x| row[x])
-    })
+    let (size, stride) = (plane.size(), plane.stride());
+    if x > 0 && y > 0 && x + 1 < size.width && y + 1 < size.height {
+        let rows = &plane.samples()[(y - 1) * stride + x - 1..][..2 * stride + 3];
+        return [three(rows, 0, 1, 2), three(&rows[stride..], 0, 1, 2), three(&rows[2 * stride..], 0, 1, 2)];
+    }
+    let (left, right) = (x.saturating_sub(1), (x + 1).min(size.width - 1));
+    let (above, below) = (y.saturating_sub(1), (y + 1).min(size.height - 1));
+    let row = |y: usize| three(plane.row(y), left, x, right);
+    [row(above), row(y), row(below)]
+}
+
+#[inline(always)]
+fn three<T: Copy>(row: &[T], a: usize, b: usize, c: usize) -> [T; 3] {
+    [row[a], row[b], row[c]]
+}
+
+/// `f` of all of them; written out, as this is where strokes spend their time.
+#[inline(always)]
+fn each<T: Copy, U>([a, b, c]: [[T; 3]; 3], f: impl Fn(T) -> U) -> [[U; 3]; 3] {
+    [[f(a[0]), f(a[1]), f(a[2])], [f(b[0]), f(b[1]), f(b[2])], [f(c[0]), f(c[1]), f(c[2])]]
 }

@@ -4,9 +4,13 @@
 //! segment, the least squared distance of the pixels within reach is kept on a small sheet; then one pass over the
 //! pixels that were touched takes the root and multiplies. Blends of black commute, so the order of strokes does not
 //! matter to the picture.
+//!
+//! As a strip of textured quads a stroke may change its width on the way; the sheet then also keeps where along the
+//! stroke the nearest place is and on which side of it the pixel lies, and the brush is looked up there.
 
 use super::Config;
-use super::trace::Stroke;
+use super::brush::Brush;
+use super::trace::{Point, Stroke};
 use crate::pixels::Size;
 use fearless_simd::{Simd, SimdBase, SimdFloat, f32x8};
 
@@ -18,6 +22,9 @@ pub const SLACK: usize = 16;
 pub struct Sheet {
     /// Least squared distance, ∞ where no segment is within reach.
     squares: Vec<f32>,
+    /// Quads only: points passed before the nearest place; above 0 on the right of the stroke.
+    along: Vec<f32>,
+    side: Vec<f32>,
     stride: usize,
     /// Columns touched in each row, `from..to`.
     spans: Vec<[usize; 2]>,
@@ -47,76 +54,149 @@ impl Sheet {
         }
         if self.squares.len() < rows * self.stride {
             self.squares.resize(rows * self.stride, f32::INFINITY);
+            self.along.resize(rows * self.stride, 0.0);
+            self.side.resize(rows * self.stride, 0.0);
         }
     }
 
-    /// Draws one stroke as far as it lies in `rows`.
+    /// Draws one stroke as far as it lies in `rows`: of one width, that at its start, or with `QUADS` of textured
+    /// quads.
     #[inline(always)]
-    pub fn draw<S: Simd>(&mut self, simd: S, config: &Config, stroke: Stroke<'_>, rows: &mut Rows<'_>) {
-        let half = config.half_width_at(stroke.points[0].nearness);
+    pub fn draw<S: Simd, const QUADS: bool>(
+        &mut self,
+        simd: S,
+        config: &Config,
+        stroke: Stroke<'_>,
+        brush: Brush<'_>,
+        rows: &mut Rows<'_>,
+    ) {
+        let mut half = config.half_width_at(stroke.points[0].nearness);
+        if QUADS {
+            for point in stroke.points {
+                half = larger(half, config.half_width_at(point.nearness));
+            }
+        }
         let reach = half + 0.5;
-        let top = ((stroke.span[0] - reach).ceil().max(rows.first as f64)) as usize;
-        let end = rows.first + rows.size.height;
-        if stroke.span[0] - reach > end as f64 - 1.0 || stroke.span[1] + reach < rows.first as f64 {
+        let last = (rows.first + rows.size.height) as f64 - 1.0;
+        let top = (stroke.span[0] - reach).ceil().max(rows.first as f64);
+        let bottom = (stroke.span[1] + reach).floor().min(last);
+        if bottom < top {
             return;
         }
         let (mut least, mut most) = (f64::INFINITY, f64::NEG_INFINITY);
         for point in stroke.points {
-            least = if point.at[0] < least { point.at[0] } else { least };
-            most = if point.at[0] > most { point.at[0] } else { most };
+            (least, most) = (-larger(-least, -point.at[0]), larger(most, point.at[0]));
         }
-        let left = (least - reach).ceil().max(0.0) as usize;
+        let left = (least - reach).ceil().max(0.0);
         let right = (most + reach).floor().min(rows.size.width as f64 - 1.0);
-        let bottom = (stroke.span[1] + reach).floor().min(end as f64 - 1.0);
-        if right < left as f64 || bottom < top as f64 {
+        if right < left {
             return;
         }
-        let (columns, lines) = (right as usize - left + 1, bottom as usize - top + 1);
-        let place = |at: [f64; 2]| [(at[0] - left as f64) as f32, (at[1] - top as f64) as f32];
-        let reach = reach as f32;
-        for ends in stroke.points.windows(2) {
-            self.segment(simd, [place(ends[0].at), place(ends[1].at)], reach, [columns, lines]);
+        let (columns, lines) = ((right - left) as usize + 1, (bottom - top) as usize + 1);
+        let place = |at: [f64; 2]| [(at[0] - left) as f32, (at[1] - top) as f32];
+        for (k, ends) in stroke.points.windows(2).enumerate() {
+            let ends = [place(ends[0].at), place(ends[1].at)];
+            self.segment::<_, QUADS>(simd, ends, k as f32, reach as f32, [columns, lines]);
         }
-        let (opacity, reach) = (f32x8::splat(simd, config.opacity as f32), f32x8::splat(simd, reach));
-        let (zero, one) = (f32x8::splat(simd, 0.0), f32x8::splat(simd, 1.0));
-        for (line, span) in self.spans[..lines].iter_mut().enumerate() {
-            let squares = &mut self.squares[line * self.stride..][..self.stride];
-            let shade = &mut rows.shade[(top - rows.first + line) * rows.stride + left..];
-            for x in (span[0]..span[1]).step_by(8) {
-                let distance = f32x8::from_slice(simd, &squares[x..x + 8]).sqrt();
-                let coverage = (reach - distance).max(zero).min(one);
-                let light = f32x8::from_slice(simd, &shade[x..x + 8]) * (one - opacity * coverage);
-                light.store_slice(&mut shade[x..x + 8]);
-                f32x8::splat(simd, f32::INFINITY).store_slice(&mut squares[x..x + 8]);
+        for line in 0..lines {
+            let shade = &mut rows.shade[(top as usize - rows.first + line) * rows.stride + left as usize..];
+            if QUADS {
+                self.print(config, stroke.points, brush, line, shade);
+            } else {
+                self.blend(simd, config, reach as f32, line, shade);
             }
-            *span = NOWHERE;
+            self.spans[line] = NOWHERE;
         }
     }
 
-    /// Takes the distances from one segment; places are relative to the sheet.
+    /// Takes the distances from segment number `k`; places are relative to the sheet.
     #[inline(always)]
-    fn segment<S: Simd>(&mut self, simd: S, [a, b]: [[f32; 2]; 2], reach: f32, [columns, lines]: [usize; 2]) {
-        let [left, right] = covered(a[0], b[0], reach, columns);
-        let [top, bottom] = covered(a[1], b[1], reach, lines);
+    fn segment<S: Simd, const QUADS: bool>(
+        &mut self,
+        simd: S,
+        [a, b]: [[f32; 2]; 2],
+        k: f32,
+        reach: f32,
+        [columns, lines]: [usize; 2],
+    ) {
+        let (left, right) = covered(a[0], b[0], reach, columns);
+        let (top, bottom) = covered(a[1], b[1], reach, lines);
+        if right <= left {
+            return;
+        }
+        let width = (right - left).next_multiple_of(8);
         let along = [b[0] - a[0], b[1] - a[1]];
         let scale = 1.0 / (along[0] * along[0] + along[1] * along[1]);
         let (zero, one) = (f32x8::splat(simd, 0.0), f32x8::splat(simd, 1.0));
         let lanes = f32x8::from_slice(simd, &[0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0]);
         for line in top..bottom {
             let y = line as f32 - a[1];
-            let squares = &mut self.squares[line * self.stride..][..self.stride];
-            let mut to = left;
-            for x in (left..right).step_by(8) {
-                let dx = lanes + (x as f32 - a[0]);
+            let at = line * self.stride + left;
+            let mut dx = lanes + (left as f32 - a[0]);
+            for (block, squares) in self.squares[at..at + width].as_chunks_mut::<8>().0.iter_mut().enumerate()
+            {
                 let t = ((dx * along[0] + y * along[1]) * scale).max(zero).min(one);
-                let (dx, dy) = (dx - t * along[0], f32x8::splat(simd, y) - t * along[1]);
-                let square = dx * dx + dy * dy;
-                let kept = f32x8::from_slice(simd, &squares[x..x + 8]);
-                square.min(kept).store_slice(&mut squares[x..x + 8]);
-                to = x + 8;
+                let (off_x, off_y) = (dx - t * along[0], f32x8::splat(simd, y) - t * along[1]);
+                let square = off_x * off_x + off_y * off_y;
+                let kept = f32x8::from_slice(simd, squares);
+                square.min(kept).store_slice(squares);
+                if QUADS {
+                    let nearer = simd.simd_lt_f32x8(square, kept);
+                    let right = off_y * along[0] - off_x * along[1];
+                    for (sheet, value) in [(&mut self.along, t + k), (&mut self.side, right)] {
+                        let sheet = &mut sheet[at + 8 * block..][..8];
+                        simd.select_f32x8(nearer, value, f32x8::from_slice(simd, sheet)).store_slice(sheet);
+                    }
+                }
+                dx += 8.0;
             }
             let span = &mut self.spans[line];
-            *span = [span[0].min(left), span[1].max(to)];
+            *span = [span[0].min(left), span[1].max(left + width)];
+        }
+    }
+
+    /// Blends one line of the sheet, which is empty afterwards, into a row of the shade plane.
+    #[inline(always)]
+    fn blend<S: Simd>(&mut self, simd: S, config: &Config, reach: f32, line: usize, shade: &mut [f32]) {
+        let [from, to] = self.spans[line];
+        let width = to.saturating_sub(from).next_multiple_of(8);
+        if width == 0 {
+            return;
+        }
+        let squares = &mut self.squares[line * self.stride + from..][..width];
+        let shade = &mut shade[from..from + width];
+        let (zero, one) = (f32x8::splat(simd, 0.0), f32x8::splat(simd, 1.0));
+        let (opacity, reach) = (f32x8::splat(simd, config.opacity as f32), f32x8::splat(simd, reach));
+        let blocks = squares.as_chunks_mut::<8>().0.iter_mut().zip(shade.as_chunks_mut::<8>().0);
+        for (squares, shade) in blocks {
+            let distance = f32x8::from_slice(simd, squares).sqrt();
+            let coverage = (reach - distance).max(zero).min(one);
+            (f32x8::from_slice(simd, shade) * (one - opacity * coverage)).store_slice(shade);
+            *squares = [f32::INFINITY; 8];
+        }
+    }
+
+    /// The same with quads: the brush runs along the stroke and across it, and fades on the way.
+    #[inline(always)]
+    fn print(&mut self, config: &Config, points: &[Point], brush: Brush<'_>, line: usize, shade: &mut [f32]) {
+        let row = line * self.stride;
+        let (opacity, fade) = (config.opacity as f32, config.fade as f32);
+        let last = points.len() - 2;
+        for x in self.spans[line][0]..self.spans[line][1] {
+            let square = std::mem::replace(&mut self.squares[row + x], f32::INFINITY);
+            let along = self.along[row + x];
+            let k = (along as usize).min(last);
+            let reach = |k: usize| config.half_width_at(points[k].nearness) as f32 + 0.5;
+            let (from, to) = (reach(k), reach(k + 1));
+            let reach = from + (to - from) * (along - k as f32);
+            let distance = square.sqrt();
+            let coverage = (reach - distance).clamp(0.0, 1.0);
+            if coverage > 0.0 {
+                let u = along / (last + 1) as f32;
+                let v = if self.side[row + x] < 0.0 { reach - distance } else { reach + distance }
+                    / (2.0 * reach);
+                shade[x] *= 1.0 - opacity * (1.0 - fade * u) * coverage * brush.at(u, v);
+            }
         }
     }
 }
@@ -124,10 +204,15 @@ impl Sheet {
 /// No columns: any span joined to it is that span.
 const NOWHERE: [usize; 2] = [usize::MAX, 0];
 
-/// The whole numbers within `reach` of the range from `a` to `b`, of `0..count`.
-fn covered(a: f32, b: f32, reach: f32, count: usize) -> [usize; 2] {
+fn larger(a: f64, b: f64) -> f64 {
+    if a > b { a } else { b }
+}
+
+/// The whole numbers within `reach` of the range from `a` to `b`, of `0..count`: from, to.
+#[inline(always)]
+fn covered(a: f32, b: f32, reach: f32, count: usize) -> (usize, usize) {
     let (low, high) = if a < b { (a, b) } else { (b, a) };
-    // conversions saturate at 0
-    [((low - reach).ceil() as usize).min(count), ((high + reach).floor() + 1.0) as usize]
-        .map(|edge| edge.min(count))
+    // conversions cut off and saturate at 0; one more on the left does no harm
+    let (from, to) = ((low - reach) as usize, (high + reach) as usize + usize::from(high + reach >= 0.0));
+    (from.min(count), to.min(count))
 }

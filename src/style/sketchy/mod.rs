@@ -4,18 +4,21 @@
 //! 1. Edges and a force field along them are read off the camera's red channel and, separately, off the models'
 //!    depth (`field`).
 //! 2. Strokes begin at random pixels (`starts`) and follow the field while they are on an edge (`trace`).
-//! 3. What paper, border and strokes let through of the light is multiplied into one plane (`ink`).
+//! 3. What paper, border and strokes let through of the light is multiplied into one plane (`ink`); in place of
+//!    strokes there may be lone brush prints (`sprites`).
 //! 4. The augmented picture is blurred and multiplied by that plane, row by row.
 //!
 //! Starts are the same in every frame, so strokes do not flicker where the picture keeps still; `lively` draws new
 //! ones each time, as the paper does. Each part can be switched off, and then costs nothing.
 
+mod border;
 mod brush;
 mod config;
 mod field;
 mod ink;
 mod paper;
 mod reference;
+mod sprites;
 mod starts;
 mod trace;
 
@@ -26,14 +29,16 @@ use super::{Style, StyleInput, composite};
 use crate::frame::Needs;
 use crate::geometry::Similarity;
 use crate::kernel::band_rows;
-use crate::kernel::gaussian::Gaussian;
+use crate::kernel::gaussian::{Gaussian, Halves};
 use crate::pixels::simd::{Level, dispatch};
 use crate::pixels::{Plane, PlaneMut, Rgb, Size};
 use crate::render::Look;
+use brush::Brush;
 use fearless_simd::{Bytes, Simd, SimdBase, f32x8, u16x16};
 use field::Field;
 use ink::{Rows, SLACK, Sheet};
 use rayon::prelude::*;
+use sprites::Sprites;
 use starts::Starts;
 use trace::Strokes;
 
@@ -52,6 +57,8 @@ pub struct Sketchy {
     motion: Option<Similarity>,
     starts: Starts,
     strokes: Strokes,
+    sprites: Sprites,
+    halves: [Halves; 3],
     /// Light that paper and border let through, rows [`stride`] samples apart.
     ground: Vec<f32>,
     /// The same with strokes.
@@ -103,6 +110,8 @@ impl Sketchy {
             motion: None,
             starts: Starts::default(),
             strokes: Strokes::default(),
+            sprites: Sprites::default(),
+            halves: Default::default(),
             ground: Vec::new(),
             shade: Vec::new(),
             bands: Vec::new(),
@@ -154,6 +163,7 @@ impl Sketchy {
     fn fit(&mut self, size: Size, rows: usize) {
         if self.size != size {
             self.size = size;
+            self.frames = 0;
             self.started = None;
             self.ground.clear();
             self.ground.resize(stride(size) * size.height, 1.0);
@@ -167,6 +177,9 @@ impl Sketchy {
                     }
                 }
             }
+            if self.config.border {
+                border::draw(size, self.config.seed, &mut self.ground, stride(size));
+            }
         }
         let bands = size.height.div_ceil(rows.max(1));
         if self.bands.len() < bands {
@@ -179,7 +192,7 @@ impl Sketchy {
         }
     }
 
-    /// Finds this frame's strokes.
+    /// Finds this frame's strokes, or moves the sprites.
     fn trace(&mut self, input: &StyleInput<'_>) {
         let Self { config, starts, size, .. } = self;
         let frame = if config.lively { self.frames } else { 0 };
@@ -198,7 +211,10 @@ impl Sketchy {
             }
         }
         let field = Field::new(config, &input.frame.color.planes[0], input.layer);
-        self.strokes.trace(config, field, starts.ordered());
+        match config.renderer {
+            Renderer::Sprites => self.sprites.advance(config, &field, starts, self.frames),
+            Renderer::Lines | Renderer::Polygons => self.strokes.trace(config, &field, starts.ordered()),
+        }
     }
 }
 
@@ -219,12 +235,20 @@ impl Style for Sketchy {
             if self.config.strokes {
                 self.trace(&input);
             }
+            if self.config.color && self.config.blur {
+                let (gaussian, level) = (&self.gaussian, self.level);
+                let planes = self.halves.par_iter_mut().zip(&picture.planes);
+                planes.for_each(|(halves, plane)| gaussian.prepare(level, plane.view(), halves));
+            }
             let work = Work {
                 config: &self.config,
                 picture,
                 gaussian: &self.gaussian,
                 ground: &self.ground,
+                halves: &self.halves,
                 strokes: &self.strokes,
+                sprites: &self.sprites,
+                brush: Brush::new(self.config.brush.mask()),
             };
             let level = self.level;
             let [r, g, b] = &mut out.planes;
@@ -247,7 +271,10 @@ struct Work<'a> {
     picture: &'a Rgb,
     gaussian: &'a Gaussian,
     ground: &'a [f32],
+    halves: &'a [Halves; 3],
     strokes: &'a Strokes,
+    sprites: &'a Sprites,
+    brush: Brush<'a>,
 }
 
 /// Draws the rows of one band.
@@ -260,21 +287,34 @@ fn draw_band<S: Simd>(
     band: &mut Band,
     mut out: [PlaneMut<'_, u8>; 3],
 ) {
-    let Work { config, picture, gaussian, ground, strokes } = work;
+    let Work { config, picture, gaussian, ground, halves, strokes, sprites, brush } = work;
     let (size, stride) = (out[0].size(), stride(picture.size()));
     shade.copy_from_slice(&ground[first * stride..][..shade.len()]);
     if config.strokes {
         let mut rows = Rows { shade, stride, size, first };
-        for stroke in strokes.iter() {
-            band.sheet.draw(simd, config, stroke, &mut rows);
+        match config.renderer {
+            Renderer::Lines => {
+                for stroke in strokes.iter() {
+                    band.sheet.draw::<_, false>(simd, config, stroke, brush, &mut rows);
+                }
+            }
+            Renderer::Polygons => {
+                for stroke in strokes.iter() {
+                    band.sheet.draw::<_, true>(simd, config, stroke, brush, &mut rows);
+                }
+            }
+            Renderer::Sprites => sprites::draw(config, sprites.alive(), brush, &mut rows),
         }
     }
     for y in 0..size.height {
         let shade = &shade[y * stride..][..stride];
-        for (from, to) in picture.planes.iter().zip(&mut out) {
+        for ((from, to), halves) in picture.planes.iter().zip(&mut out).zip(halves) {
             match (config.color, config.blur) {
                 (false, _) => {} // stays white
-                (true, true) => gaussian.row(simd, from.view(), first + y, &mut band.line, &mut band.blurred),
+                (true, true) => {
+                    let (line, blurred) = (&mut band.line, &mut band.blurred);
+                    gaussian.row(simd, from.view(), halves, first + y, line, blurred);
+                }
                 (true, false) => {
                     for (to, &from) in band.blurred.iter_mut().zip(from.row(first + y)) {
                         *to = f32::from(from);
@@ -290,12 +330,11 @@ fn draw_band<S: Simd>(
 #[inline(always)]
 fn multiply<S: Simd>(simd: S, color: &[f32], shade: &[f32], out: &mut [u8]) {
     for (block, out) in out.chunks_mut(16).enumerate() {
-        let half = |x: usize| {
-            let product =
-                f32x8::from_slice(simd, &color[x..x + 8]) * f32x8::from_slice(simd, &shade[x..x + 8]);
-            simd.cvt_i32_f32x8(product + 0.5)
-        };
-        let words: u16x16<S> = simd.saturating_narrow_i32x8(half(16 * block), half(16 * block + 8)).bitcast();
+        let (color, shade) = (&color[16 * block..][..16], &shade[16 * block..][..16]);
+        let low = f32x8::from_slice(simd, &color[..8]) * f32x8::from_slice(simd, &shade[..8]);
+        let high = f32x8::from_slice(simd, &color[8..]) * f32x8::from_slice(simd, &shade[8..]);
+        let (low, high) = (simd.cvt_i32_f32x8(low + 0.5), simd.cvt_i32_f32x8(high + 0.5));
+        let words: u16x16<S> = simd.saturating_narrow_i32x8(low, high).bitcast();
         let (low, high) = simd.split_u16x16(words);
         let bytes = simd.saturating_narrow_u16x8(low, high);
         out.copy_from_slice(&bytes.as_slice()[..out.len()]);

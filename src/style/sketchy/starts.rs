@@ -54,7 +54,7 @@ pub fn seed_of(seed: u64, frame: u64) -> u64 {
 /// The starts of one frame, upper rows first.
 #[derive(Debug, Default)]
 pub struct Starts {
-    unordered: Vec<Start>,
+    numbered: Vec<Start>,
     ordered: Vec<Start>,
     /// Where each row begins.
     rows: Vec<usize>,
@@ -70,25 +70,30 @@ impl Starts {
 
     /// Takes these places. Allocates only to grow.
     pub fn fill(&mut self, height: usize, places: impl Iterator<Item = [f64; 2]>) {
-        self.unordered.clear();
-        self.unordered.extend((0..).zip(places).map(|(number, at)| Start { at, number }));
+        self.numbered.clear();
+        self.numbered.extend((0..).zip(places).map(|(number, at)| Start { at, number }));
         // counting sort by row: stable, without allocating
         let row_of = |start: &Start| ((start.at[1] + 0.5).floor().max(0.0) as usize).min(height - 1);
         self.rows.clear();
         self.rows.resize(height + 1, 0);
-        self.unordered.iter().for_each(|start| self.rows[row_of(start) + 1] += 1);
+        self.numbered.iter().for_each(|start| self.rows[row_of(start) + 1] += 1);
         for row in 0..height {
             self.rows[row + 1] += self.rows[row];
         }
-        self.ordered.resize(self.unordered.len(), Start::default());
-        for start in &self.unordered {
+        self.ordered.resize(self.numbered.len(), Start::default());
+        for start in &self.numbered {
             let row = &mut self.rows[row_of(start)];
             self.ordered[*row] = *start;
             *row += 1;
         }
     }
 
-    /// All of them.
+    /// All of them, in drawing order.
+    pub fn by_number(&self) -> &[Start] {
+        &self.numbered
+    }
+
+    /// All of them, upper rows first.
     pub fn ordered(&self) -> &[Start] {
         &self.ordered
     }

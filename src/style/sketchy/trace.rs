@@ -56,7 +56,7 @@ const ROOM: usize = 1 << 22;
 impl Strokes {
     /// Traces the strokes of a frame. Allocates only when settings or the number of starts call for more room than
     /// ever before.
-    pub fn trace(&mut self, config: &Config, field: Field<'_>, starts: &[Start]) {
+    pub fn trace(&mut self, config: &Config, field: &Field<'_>, starts: &[Start]) {
         self.parts.resize_with(PARTS, Part::default);
         let length = starts.len().div_ceil(PARTS).max(1);
         let points = (length * config.points as usize).min(ROOM / PARTS);
@@ -87,7 +87,7 @@ impl Strokes {
 
 impl Part {
     /// Adds the stroke that begins at `start`, if there is one.
-    fn follow(&mut self, config: &Config, field: Field<'_>, start: &Start) {
+    fn follow(&mut self, config: &Config, field: &Field<'_>, start: &Start) {
         let Some(mut edge) = look_up(field, start.at) else { return };
         let first = self.points.len();
         let mut at = start.at;
@@ -120,8 +120,10 @@ pub(super) fn onward(force: [f64; 2], last: [f64; 2]) -> [f64; 2] {
 }
 
 /// The edge at the pixel that holds a place; none outside the picture.
-pub(super) fn look_up(field: Field<'_>, [x, y]: [f64; 2]) -> Option<Edge> {
-    let (x, y, size) = ((x + 0.5).floor(), (y + 0.5).floor(), field.size());
+#[inline]
+pub(super) fn look_up(field: &Field<'_>, [x, y]: [f64; 2]) -> Option<Edge> {
+    let (x, y, size) = (x + 0.5, y + 0.5, field.size());
     let inside = x >= 0.0 && y >= 0.0 && x < size.width as f64 && y < size.height as f64;
+    // conversion to integers cuts off, which above 0 is the floor
     if inside { field.edge(x as usize, y as usize) } else { None }
 }
