@@ -63,7 +63,7 @@ pub struct Starts {
 impl Starts {
     /// Makes room for this many.
     pub fn reserve(&mut self, most: usize) {
-        for list in [&mut self.unordered, &mut self.ordered] {
+        for list in [&mut self.numbered, &mut self.ordered] {
             list.reserve(most.saturating_sub(list.len()));
         }
     }
