@@ -60,7 +60,7 @@ const UNIT: i16 = 128;
 /// Pixels around a difference that begin anew with it.
 const REACH: usize = 2;
 const ROWS: usize = 2 * REACH + 1;
-/// The first weight after a beginning.
+/// The first weight after a beginning, and the largest.
 const HALF: u8 = 127;
 
 /// The mean of the frames so far.
@@ -189,26 +189,14 @@ fn run_band<S: Simd>(
     mut weight: PlaneMut<'_, u8>,
     scratch: &mut Scratch,
 ) {
-    let Work { picture, before, gate, least } = work;
-    let size = picture.size();
+    let Work { picture, gate, least, .. } = work;
     let Scratch { line, rows, most } = scratch;
-    let mut differ = |y: usize, rows: &mut [Vec<u8>; ROWS]| {
-        let row = &mut rows[y % ROWS];
-        if y < size.height {
-            let now = picture.planes.each_ref().map(|plane| plane.row(y));
-            let before = before.planes.each_ref().map(|plane| plane.row(y));
-            difference(simd, now, before, &mut line[REACH..REACH + size.width]);
-            widest(simd, line, row);
-        } else {
-            row.fill(0);
-        }
-    };
     rows.iter_mut().for_each(|row| row.fill(0));
     for y in first.saturating_sub(REACH)..first + REACH {
-        differ(y, rows);
+        differ(simd, work, y, line, rows);
     }
     for y in 0..weight.size().height {
-        differ(first + y + REACH, rows);
+        differ(simd, work, first + y + REACH, line, rows);
         highest(simd, rows, most);
         let weight = weight.row_mut(y);
         for c in 0..3 {
@@ -216,6 +204,21 @@ fn run_band<S: Simd>(
             average(simd, now, most, gate, weight, mean[c].row_mut(y), shown[c].row_mut(y));
         }
         age(simd, most, gate, least, weight);
+    }
+}
+
+/// The largest differences within `REACH` columns of row `y`, 0 below the picture, into its place in `rows`.
+#[inline(always)]
+fn differ<S: Simd>(simd: S, work: Work<'_>, y: usize, line: &mut [u8], rows: &mut [Vec<u8>; ROWS]) {
+    let size = work.picture.size();
+    let row = &mut rows[y % ROWS];
+    if y < size.height {
+        let now = work.picture.planes.each_ref().map(|plane| plane.row(y));
+        let before = work.before.planes.each_ref().map(|plane| plane.row(y));
+        difference(simd, now, before, &mut line[REACH..REACH + size.width]);
+        widest(simd, line, row);
+    } else {
+        row.fill(0);
     }
 }
 
@@ -263,11 +266,14 @@ fn average<S: Simd>(
     let n = shown.len();
     let (now, most, weight, mean) = (&now[..n], &most[..n], &weight[..n], &mut mean[..n]);
     for x in 0..n {
-        let new = i16::from(now[x]) * UNIT;
-        let step = i32::from(new - mean[x]) * (i32::from(weight[x]) << 8) >> 16;
-        let next = if most[x] > gate { new } else { mean[x] + step as i16 };
+        // without branches, in 16 bits: one multiplication that keeps the high half
+        let (new, old) = (i16::from(now[x]) * UNIT, mean[x]);
+        let share = i16::from(weight[x] & HALF) << 8;
+        let step = (i32::from(new.wrapping_sub(old)) * i32::from(share) >> 16) as i16;
+        let open = -i16::from(most[x] > gate);
+        let next = (new & open) | (old.wrapping_add(step) & !open);
         mean[x] = next;
-        shown[x] = ((next + UNIT / 2) >> 7) as u8;
+        shown[x] = (next.wrapping_add(UNIT / 2) >> 7) as u8;
     }
 }
 
