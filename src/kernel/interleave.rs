@@ -2,7 +2,7 @@
 
 use crate::pixels::simd::{Level, dispatch};
 use crate::pixels::{Rgb, Size};
-use fearless_simd::{Simd, SimdBase, prelude::*, u8x16};
+use fearless_simd::{Simd, SimdBase, u8x16};
 use rayon::prelude::*;
 
 /// Splits rows of R, G, B bytes into `picture`, which is fitted to `size`. `bytes` holds `3 * size.area()`
@@ -26,17 +26,18 @@ pub fn split(level: Level, bytes: &[u8], size: Size, picture: &mut Rgb) {
 
 #[inline(always)]
 fn split_row<S: Simd>(simd: S, from: &[u8], r: &mut [u8], g: &mut [u8], b: &mut [u8]) {
-    let picks = PICKS.map(|part| part.map(|pick| u8x16::simd_from(simd, pick)));
+    let [red, green, blue] =
+        [Gather::new(simd, &PICKS[0]), Gather::new(simd, &PICKS[1]), Gather::new(simd, &PICKS[2])];
     let whole = r.len() / LANES;
     let blocks = from.as_chunks::<{ 3 * LANES }>().0.iter().zip(r.as_chunks_mut::<LANES>().0);
     let blocks = blocks.zip(g.as_chunks_mut::<LANES>().0).zip(b.as_chunks_mut::<LANES>().0);
     for (((from, r), g), b) in blocks {
-        let parts = [0, 1, 2].map(|part| u8x16::from_slice(simd, &from[LANES * part..][..LANES]));
-        for (channel, to) in [r, g, b].into_iter().enumerate() {
-            let [x, y, z] =
-                [0, 1, 2].map(|part| simd.swizzle_dyn_precise_u8x16(parts[part], picks[channel][part]));
-            (x | y | z).store_slice(to);
-        }
+        let x = u8x16::from_slice(simd, &from[..LANES]);
+        let y = u8x16::from_slice(simd, &from[LANES..2 * LANES]);
+        let z = u8x16::from_slice(simd, &from[2 * LANES..]);
+        red.of(simd, x, y, z).store_slice(r);
+        green.of(simd, x, y, z).store_slice(g);
+        blue.of(simd, x, y, z).store_slice(b);
     }
     let rest = from.as_chunks::<3>().0.iter().zip(r).zip(g).zip(b).skip(LANES * whole);
     for (((from, r), g), b) in rest {
@@ -62,20 +63,41 @@ pub fn join(level: Level, picture: &Rgb, bytes: &mut [u8]) {
 
 #[inline(always)]
 fn join_row<S: Simd>(simd: S, r: &[u8], g: &[u8], b: &[u8], to: &mut [u8]) {
-    let places = PLACES.map(|part| part.map(|place| u8x16::simd_from(simd, place)));
+    let [first, second, third] =
+        [Gather::new(simd, &PLACES[0]), Gather::new(simd, &PLACES[1]), Gather::new(simd, &PLACES[2])];
     let whole = r.len() / LANES;
     let blocks = to.as_chunks_mut::<{ 3 * LANES }>().0.iter_mut().zip(r.as_chunks::<LANES>().0);
     for (((to, r), g), b) in blocks.zip(g.as_chunks::<LANES>().0).zip(b.as_chunks::<LANES>().0) {
-        let channels = [r, g, b].map(|channel| u8x16::from_slice(simd, channel));
-        for (part, to) in to.as_chunks_mut::<LANES>().0.iter_mut().enumerate() {
-            let [x, y, z] = [0, 1, 2]
-                .map(|channel| simd.swizzle_dyn_precise_u8x16(channels[channel], places[part][channel]));
-            (x | y | z).store_slice(to);
-        }
+        let r = u8x16::from_slice(simd, r);
+        let g = u8x16::from_slice(simd, g);
+        let b = u8x16::from_slice(simd, b);
+        first.of(simd, r, g, b).store_slice(&mut to[..LANES]);
+        second.of(simd, r, g, b).store_slice(&mut to[LANES..2 * LANES]);
+        third.of(simd, r, g, b).store_slice(&mut to[2 * LANES..]);
     }
     let rest = to.as_chunks_mut::<3>().0.iter_mut().zip(r).zip(g).zip(b).skip(LANES * whole);
     for (((to, &r), &g), &b) in rest {
         *to = [r, g, b];
+    }
+}
+
+/// Where each byte of a vector comes from, of three vectors.
+struct Gather<S: Simd> {
+    x: u8x16<S>,
+    y: u8x16<S>,
+    z: u8x16<S>,
+}
+
+impl<S: Simd> Gather<S> {
+    #[inline(always)]
+    fn new(simd: S, [x, y, z]: &[[u8; LANES]; 3]) -> Self {
+        Self { x: u8x16::from_slice(simd, x), y: u8x16::from_slice(simd, y), z: u8x16::from_slice(simd, z) }
+    }
+
+    #[inline(always)]
+    fn of(&self, simd: S, x: u8x16<S>, y: u8x16<S>, z: u8x16<S>) -> u8x16<S> {
+        let xy = simd.swizzle_dyn_precise_u8x16(x, self.x) | simd.swizzle_dyn_precise_u8x16(y, self.y);
+        xy | simd.swizzle_dyn_precise_u8x16(z, self.z)
     }
 }
 
