@@ -93,10 +93,13 @@ impl Sheet {
             return;
         }
         let (columns, lines) = ((right - left) as usize + 1, (bottom - top) as usize + 1);
-        let place = |at: [f64; 2]| [(at[0] - left) as f32, (at[1] - top) as f32];
+        // from the stroke's own first row, wherever the band cuts it: places are rounded to f32, in every band alike
+        let origin = (stroke.span[0] - reach).floor();
+        let place = |at: [f64; 2]| [(at[0] - left) as f32, (at[1] - origin) as f32];
+        let skipped = (top - origin) as usize;
         for (k, ends) in stroke.points.windows(2).enumerate() {
             let ends = [place(ends[0].at), place(ends[1].at)];
-            self.segment::<_, QUADS>(simd, ends, k as f32, reach as f32, [columns, lines]);
+            self.segment::<_, QUADS>(simd, ends, k as f32, reach as f32, [columns, lines], skipped);
         }
         for line in 0..lines {
             let shade = &mut rows.shade[(top as usize - rows.first + line) * rows.stride + left as usize..];
@@ -109,7 +112,8 @@ impl Sheet {
         }
     }
 
-    /// Takes the distances from segment number `k`; places are relative to the sheet.
+    /// Takes the distances from segment number `k`; places count from the sheet's left and from
+    /// `skipped` rows above it.
     #[inline(always)]
     fn segment<S: Simd, const QUADS: bool>(
         &mut self,
@@ -118,9 +122,10 @@ impl Sheet {
         k: f32,
         reach: f32,
         [columns, lines]: [usize; 2],
+        skipped: usize,
     ) {
         let (left, right) = covered(a[0], b[0], reach, columns);
-        let (top, bottom) = covered(a[1], b[1], reach, lines);
+        let (top, bottom) = covered(a[1], b[1], reach, skipped + lines);
         if right <= left {
             return;
         }
@@ -129,9 +134,9 @@ impl Sheet {
         let scale = 1.0 / (along[0] * along[0] + along[1] * along[1]);
         let (zero, one) = (f32x8::splat(simd, 0.0), f32x8::splat(simd, 1.0));
         let lanes = f32x8::from_slice(simd, &[0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0]);
-        for line in top..bottom {
+        for line in top.max(skipped)..bottom {
             let y = line as f32 - a[1];
-            let at = line * self.stride + left;
+            let at = (line - skipped) * self.stride + left;
             let mut dx = lanes + (left as f32 - a[0]);
             for (block, squares) in self.squares[at..at + width].as_chunks_mut::<8>().0.iter_mut().enumerate()
             {
@@ -150,7 +155,7 @@ impl Sheet {
                 }
                 dx += 8.0;
             }
-            let span = &mut self.spans[line];
+            let span = &mut self.spans[line - skipped];
             *span = [span[0].min(left), span[1].max(left + width)];
         }
     }
