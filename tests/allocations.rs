@@ -5,6 +5,7 @@
 use clap::ValueEnum;
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 use vernissage::camera::{Synthetic, SyntheticConfig};
 use vernissage::display::Sink;
 use vernissage::frame::Frame;
@@ -17,6 +18,13 @@ use vernissage::style::{self, StyleName};
 struct Counting;
 
 static ALLOCATIONS: AtomicU64 = AtomicU64::new(0);
+
+/// Held by the test that counts: the others' allocations would be counted with its own.
+static COUNTING: Mutex<()> = Mutex::new(());
+
+fn alone() -> MutexGuard<'static, ()> {
+    COUNTING.lock().unwrap_or_else(PoisonError::into_inner)
+}
 
 // SAFETY: every call goes to the system allocator unchanged; counting touches no memory it hands out.
 unsafe impl GlobalAlloc for Counting {
@@ -50,6 +58,7 @@ fn teapot() -> Scene {
 
 #[test]
 fn three_hundred_frames_allocate_nothing_in_any_style() {
+    let _alone = alone();
     let size = Size::new(320, 240);
     let settings = SyntheticConfig { samples: 1, pace: 3.0, ..SyntheticConfig::default() };
     let pool = rayon::ThreadPoolBuilder::new().num_threads(2).build().expect("a pool");
@@ -83,6 +92,7 @@ fn three_hundred_frames_allocate_nothing_in_any_style() {
 
 #[test]
 fn with_every_option_on_switching_allocates_between_frames_only() {
+    let _alone = alone();
     let size = Size::new(320, 240);
     // always the same picture: how full it is may not matter here
     let settings = SyntheticConfig { samples: 1, pace: 0.0, noise: 0.0, ..SyntheticConfig::default() };

@@ -83,7 +83,8 @@ echo BOARD: ran 0
 """
 
 # million ARM instructions that a style may take for a 640x480 picture, bytes to bytes
-BUDGET = {"cartoon": 80, "bilateral-cartoon": 40, "sketch-like": 40, "watercolor": 40, "illustrative": 40}
+BUDGET = {"cartoon": 80, "bilateral-cartoon": 40, "sketch-like": 40, "watercolor": 40, "illustrative": 40,
+          "pointillism": 40, "sketchy": 40}
 
 failures = 0
 

@@ -8,6 +8,7 @@ use crate::kernel::interleave;
 use crate::pixels::{Plane, Rgb, Size, picture, simd};
 use crate::style::{self, StyleInput, StyleName, Styler};
 use anyhow::{Context, bail, ensure};
+use clap::ValueEnum;
 use indicatif::{ProgressBar, ProgressStyle};
 use std::collections::HashSet;
 use std::io::{BufWriter, IsTerminal};
@@ -27,22 +28,7 @@ const WARM_UP: u32 = 3;
 /// Reads Y4M clips too (- is stdin) and writes every frame to a folder or, where --out ends in .y4m or is -,
 /// to one clip; pictures and folders of one size can become a clip as well.
 #[derive(clap::Args, Default)]
-#[command(after_help = "Examples:
-  vernissage stylize --style cartoon photo.jpg --out cartoon.png
-  vernissage stylize --style cartoon --set steps=9 --set beta=.5 photo.jpg --out bold.png
-  vernissage stylize --style cartoon holiday/ --out holiday-cartoon/
-  vernissage stylize --style cartoon clip.y4m --out cartoon.y4m
-  vernissage stylize --style cartoon photo.jpg --repeat 100 --json      time it
-
-Settings of cartoon (--set): shrunk_width, shrunk_height (0: from the frame), sigma_p, steps, alpha, beta,
-s0, s1, a0, a1. Of bilateral-cartoon: levels, iterations, sigma_d, sigma_r, t1, t2. Of sketch-like: t1, t2.
-Of watercolor: cell, alpha, beta, threshold, min_edge, retile_every, seed, sites (a .npy file, N x 2; the stage
-`sites` of one run may be fed to the next). Of illustrative: alpha, edge_threshold, theta, n, c_cross, gamma,
-paper_red, paper_green, paper_blue. Of sketchy: threshold, depth_threshold, slope_guard, sigma, density, step, points,
-half_width, depth_width, opacity, renderer (lines, polygons, sprites), fade, lifetime, brush (a gray picture), seed,
-lively, starts (a .npy file, N x 2), paper (true, false or a gray picture), color, blur, strokes, border.
-Of pointillism: col_skip, row_skip, range, radius_min, radius_max, color_offset, opacity, num_particles, seed, sprite
-(a gray picture), grid (a .npy file, N x 6, as the stage `grid`). The result is the same for any number of threads and on any processor.")]
+#[command(after_help = after_help())]
 pub struct Args {
     /// Pictures, folders of pictures, or Y4M clips (- is stdin).
     #[arg(required = true, value_name = "INPUT")]
@@ -73,6 +59,34 @@ pub struct Args {
     /// Prints the times as one JSON object an input: {"image", "style", "threads", "ms": [...]}.
     #[arg(long, requires = "repeat")]
     json: bool,
+}
+
+/// Examples, and every style's settings as they are by default.
+fn after_help() -> String {
+    let mut text = String::from(
+        "Examples:
+  vernissage stylize --style cartoon photo.jpg --out cartoon.png
+  vernissage stylize --style cartoon --set steps=9 --set beta=.5 photo.jpg --out bold.png
+  vernissage stylize --style cartoon holiday/ --out holiday-cartoon/
+  vernissage stylize --style cartoon clip.y4m --out cartoon.y4m
+  vernissage stylize --style cartoon photo.jpg --repeat 100 --json      time it
+
+Settings and their defaults (a value out of range is answered with the range):
+",
+    );
+    for &style in StyleName::value_variants() {
+        let settings = style::Config::defaults_of(style).join(", ");
+        if !settings.is_empty() {
+            text.push_str(&format!("  {style}: {settings}\n"));
+        }
+    }
+    text.push_str(
+        "
+Files: sites (watercolor, N x 2: x, y) and starts (sketchy, N x 2) are .npy, as is grid (pointillism, N x 6: x, y, radius, dr,
+dg, db in drawing order); sprite, brush and paper are gray pictures. paper takes true and false as well. Stages of one run may
+be fed to the next. The result is the same for any number of threads and on any processor.",
+    );
+    text
 }
 
 pub fn run(args: Args) -> anyhow::Result<()> {

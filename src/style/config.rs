@@ -174,6 +174,18 @@ impl Config {
         self.sketchy.validate()
     }
 
+    /// The settings of a style with their defaults, as `key=value` in order of the name.
+    pub fn defaults_of(style: StyleName) -> Vec<String> {
+        let table = toml::Table::try_from(Config::default()).unwrap_or_default();
+        let settings = table.get(style.name()).and_then(toml::Value::as_table);
+        // a 32-bit number as it was written, not with the digits it gained
+        let short = |value: &toml::Value| match value {
+            toml::Value::Float(v) if f64::from(*v as f32) == *v => (*v as f32).to_string(),
+            value => value.to_string(),
+        };
+        settings.into_iter().flatten().map(|(key, value)| format!("{key}={}", short(value))).collect()
+    }
+
     /// Sets one setting of the named style from text, as `--set key=value` does.
     pub fn set(&mut self, key: &str, value: &str) -> Result<(), ConfigError> {
         match self.name {
@@ -275,6 +287,21 @@ mod tests {
         assert!(toml::from_str::<Config>("nme = 'plain'").is_err());
         let long: Config = toml::from_str("fade_ms = 6000").expect("a number");
         assert!(long.validate().expect_err("too long").to_string().contains("fade_ms = 6000"));
+    }
+
+    #[test]
+    fn every_default_may_be_set() {
+        use clap::ValueEnum;
+        for &name in StyleName::value_variants() {
+            let settings = Config::defaults_of(name);
+            assert_eq!(settings.is_empty(), name == StyleName::Plain, "{name}");
+            let mut config = Config { name, ..Config::default() };
+            for setting in &settings {
+                let (key, value) = setting.split_once('=').expect("key=value");
+                config.set(key, value.trim_matches('"')).expect(setting);
+            }
+            assert_eq!(config, Config { name, ..Config::default() });
+        }
     }
 
     #[test]

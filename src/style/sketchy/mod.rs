@@ -292,14 +292,17 @@ fn draw_band<S: Simd>(
     shade.copy_from_slice(&ground[first * stride..][..shade.len()]);
     if config.strokes {
         let mut rows = Rows { shade, stride, size, first };
+        // no stroke gets farther from its start, ink included
+        let far = f64::from(config.points) * config.step + 2.0 * config.half_width + 1.0;
+        let near = first as f64 - far..(first + size.height) as f64 + far;
         match config.renderer {
             Renderer::Lines => {
-                for stroke in strokes.iter() {
+                for stroke in strokes.starting(near) {
                     band.sheet.draw::<_, false>(simd, config, stroke, brush, &mut rows);
                 }
             }
             Renderer::Polygons => {
-                for stroke in strokes.iter() {
+                for stroke in strokes.starting(near) {
                     band.sheet.draw::<_, true>(simd, config, stroke, brush, &mut rows);
                 }
             }

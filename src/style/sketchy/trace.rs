@@ -5,6 +5,7 @@ use super::Config;
 use super::field::{Edge, Field};
 use super::starts::Start;
 use rayon::prelude::*;
+use std::ops::Range;
 
 /// A point of a stroke.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -75,8 +76,17 @@ impl Strokes {
 
     /// The strokes, upper starts first.
     pub fn iter(&self) -> impl Iterator<Item = Stroke<'_>> {
-        self.parts.iter().flat_map(|part| {
-            part.strokes.iter().map(|piece| Stroke {
+        self.starting(f64::NEG_INFINITY..f64::INFINITY)
+    }
+
+    /// Those whose starts lie in these rows, upper starts first; up to half a row more on either side.
+    pub fn starting(&self, rows: Range<f64>) -> impl Iterator<Item = Stroke<'_>> {
+        self.parts.iter().flat_map(move |part| {
+            // starts are sorted by the row of the pixel that holds them
+            let start = |piece: &Piece| part.points[piece.first].at[1];
+            let from = part.strokes.partition_point(|piece| start(piece) < rows.start - 1.0);
+            let to = part.strokes.partition_point(|piece| start(piece) < rows.end + 1.0);
+            part.strokes[from..to].iter().map(|piece| Stroke {
                 number: piece.number,
                 points: &part.points[piece.first..piece.last],
                 span: piece.span,
