@@ -147,7 +147,8 @@ fn part(picture: &Rgb, w: usize, h: usize) -> Rgb {
 #[test]
 fn the_same_bytes_everywhere_at_every_size_and_setting() {
     let photo = frame(FRAMES[1]).color;
-    let cases: [(&[&str], &[(usize, usize)]); 5] = [
+    type Case = (&'static [&'static str], &'static [(usize, usize)]);
+    let cases: [Case; 5] = [
         (&[], &[(1, 1), (2, 9), (17, 5), (16, 16), (64, 32), (65, 33), (97, 53), (333, 211), (1920, 1080)]),
         (&["opacity=1", "color_offset=1", "seed=1"], &[(160, 120)]),
         (&["radius_min=0", "radius_max=9", "col_skip=7", "row_skip=3"], &[(1, 7), (131, 67)]),

@@ -76,10 +76,10 @@ impl Shadow {
         for (index, model) in scene.models.iter().enumerate() {
             if model.anchor.takes(mark.family, mark.id) {
                 let light = mark.pose.rotation.transpose() * scene.light.direction.as_dvec3();
-                if let Some((center, half)) = self.throw(index, light) {
-                    if let Some(patch) = Patch::new(&mark.pose, lens, center, half) {
-                        darken(&patch, &self.map, picture);
-                    }
+                if let Some((center, half)) = self.throw(index, light)
+                    && let Some(patch) = Patch::new(&mark.pose, lens, center, half)
+                {
+                    darken(&patch, &self.map, picture);
                 }
             }
         }

@@ -269,7 +269,7 @@ fn average<S: Simd>(
         // without branches, in 16 bits: one multiplication that keeps the high half
         let (new, old) = (i16::from(now[x]) * UNIT, mean[x]);
         let share = i16::from(weight[x] & HALF) << 8;
-        let step = (i32::from(new.wrapping_sub(old)) * i32::from(share) >> 16) as i16;
+        let step = ((i32::from(new.wrapping_sub(old)) * i32::from(share)) >> 16) as i16;
         let open = -i16::from(most[x] > gate);
         let next = (new & open) | (old.wrapping_add(step) & !open);
         mean[x] = next;
@@ -282,7 +282,7 @@ fn average<S: Simd>(
 fn age<S: Simd>(_simd: S, most: &[u8], gate: u8, least: u8, weight: &mut [u8]) {
     for (weight, &most) in weight.iter_mut().zip(most) {
         let w = u16::from(*weight);
-        let next = ((w - (w * w >> 8)) as u8).max(least);
+        let next = ((w - ((w * w) >> 8)) as u8).max(least);
         *weight = if most > gate { HALF } else { next };
     }
 }

@@ -187,7 +187,8 @@ impl Sheet {
         let row = line * self.stride;
         let (opacity, fade) = (config.opacity as f32, config.fade as f32);
         let last = points.len() - 2;
-        for x in self.spans[line][0]..self.spans[line][1] {
+        let [from, to] = self.spans[line];
+        for (x, shade) in shade.iter_mut().enumerate().take(to).skip(from) {
             let square = std::mem::replace(&mut self.squares[row + x], f32::INFINITY);
             let along = self.along[row + x];
             let k = (along as usize).min(last);
@@ -200,7 +201,7 @@ impl Sheet {
                 let u = along / (last + 1) as f32;
                 let v = if self.side[row + x] < 0.0 { reach - distance } else { reach + distance }
                     / (2.0 * reach);
-                shade[x] *= 1.0 - opacity * (1.0 - fade * u) * coverage * brush.at(u, v);
+                *shade *= 1.0 - opacity * (1.0 - fade * u) * coverage * brush.at(u, v);
             }
         }
     }

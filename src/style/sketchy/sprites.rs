@@ -84,12 +84,12 @@ pub fn draw(config: &Config, sprites: &[Sprite], brush: Brush<'_>, rows: &mut Ro
         for y in top as usize..=bottom as usize {
             let shade = &mut rows.shade[(y - rows.first) * rows.stride..];
             let dy = (y as f64 - sprite.at[1]) as f32;
-            for x in left as usize..=right as usize {
+            for (x, shade) in shade.iter_mut().enumerate().take(right as usize + 1).skip(left as usize) {
                 let dx = (x as f64 - sprite.at[0]) as f32;
                 let coverage = (reach - (dx * dx + dy * dy).sqrt()).clamp(0.0, 1.0);
                 if coverage > 0.0 {
                     let print = brush.at((dx * scale + 1.0) * 0.5, (dy * scale + 1.0) * 0.5);
-                    shade[x] *= 1.0 - opacity * coverage * print;
+                    *shade *= 1.0 - opacity * coverage * print;
                 }
             }
         }
