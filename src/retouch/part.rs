@@ -178,6 +178,17 @@ impl Part {
                 for (to, &z) in to.iter_mut().zip(layer.depth.row(first + y)) {
                     *to = if z < f32::INFINITY { inside } else { outside };
                 }
+                // outlines reach over the models, and secondary models may
+                if layer.silhouette.size() == size {
+                    for (to, &line) in to.iter_mut().zip(layer.silhouette.row(first + y)) {
+                        *to = if line > 0 { inside } else { *to };
+                    }
+                }
+                if let Some(secondary) = layer.secondary.as_deref().filter(|s| s.depth.size() == size) {
+                    for (to, &z) in to.iter_mut().zip(secondary.depth.row(first + y)) {
+                        *to = if z < f32::INFINITY { inside } else { *to };
+                    }
+                }
             }
         });
         if radius > 0 {
@@ -268,8 +279,10 @@ mod tests {
         let mut touched = TileSet::new(grid);
         touched.insert(0);
         let covered = |x: usize, y: usize| (20..50).contains(&x) && y > 30;
-        let depth = Plane::from_fn(size, |x, y| if covered(x, y) { 9.0 } else { f32::INFINITY });
-        let layer = Layer { depth, touched, grid: Some(grid), ..Layer::default() };
+        // a surface on the left, an outline on the right
+        let depth = Plane::from_fn(size, |x, y| if covered(x, y) && x < 40 { 9.0 } else { f32::INFINITY });
+        let silhouette = Plane::from_fn(size, |x, y| if covered(x, y) && x > 37 { 255 } else { 0 });
+        let layer = Layer { depth, silhouette, touched, grid: Some(grid), ..Layer::default() };
         let lens = Lens::guess(size);
         for softness in [0, 1, 2, 9, 64] {
             let mask = sweep::everywhere("objects", |_| {
