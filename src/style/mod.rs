@@ -13,6 +13,7 @@ mod lattice;
 pub mod plain;
 pub mod pointillism;
 pub mod sketchy;
+mod table;
 pub mod watercolor;
 
 pub use config::{Config, ConfigError, StyleName};

@@ -2,6 +2,7 @@
 //! in drawing order.
 
 use crate::pixels::{Size, SplitMix64};
+use crate::style::table::{self, TableError};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -99,23 +100,9 @@ impl From<GridFile> for PathBuf {
 /// Why a grid file is refused.
 #[derive(Debug, thiserror::Error)]
 pub enum GridError {
-    /// It cannot be read, or it is not .npy.
-    #[error("{path}: cannot read it as .npy: {reason}", path = path.display())]
-    Unreadable {
-        /// The file.
-        path: PathBuf,
-        /// The system's word.
-        reason: String,
-    },
-    /// It holds something else than a grid.
-    #[error(
-        "{path}: a grid is an N x 6 array of f64 or f32 (x, y, radius, dr, dg, db), N from 1 to 4194304, rows first",
-        path = path.display()
-    )]
-    Shape {
-        /// The file.
-        path: PathBuf,
-    },
+    /// It is no such table.
+    #[error(transparent)]
+    Table(#[from] TableError),
     /// A number is outside its range.
     #[error("{path}: site {index}: {name} is {value}, not {expected}", path = path.display())]
     Value {
@@ -145,22 +132,8 @@ impl TryFrom<PathBuf> for GridFile {
 }
 
 fn read(path: &Path) -> Result<Vec<Site>, GridError> {
-    let unreadable = |e: std::io::Error| GridError::Unreadable { path: path.into(), reason: e.to_string() };
-    let shape = || GridError::Shape { path: path.into() };
-    let file = std::fs::File::open(path).map_err(unreadable)?;
-    let array = npyz::NpyFile::new(std::io::BufReader::new(file)).map_err(unreadable)?;
-    let fine = matches!(*array.shape(), [1..=MOST, 6]) && array.order() == npyz::Order::C;
-    if !fine {
-        return Err(shape());
-    }
-    let values: Vec<f64> = match array.try_data::<f64>() {
-        Ok(values) => values.collect::<Result<_, _>>().map_err(unreadable)?,
-        Err(array) => {
-            let values = array.try_data::<f32>().map_err(|_| shape())?;
-            values.map(|value| value.map(f64::from)).collect::<Result<_, _>>().map_err(unreadable)?
-        }
-    };
-    values.as_chunks::<6>().0.iter().enumerate().map(|(index, row)| site(path, index, *row)).collect()
+    let rows = table::read::<6>(path, 1..=MOST, "a grid (x, y, radius, dr, dg, db) is")?;
+    rows.into_iter().enumerate().map(|(index, row)| site(path, index, row)).collect()
 }
 
 fn site(path: &Path, index: usize, row: [f64; 6]) -> Result<Site, GridError> {

@@ -4,6 +4,7 @@
 use crate::geometry::Similarity;
 use crate::pixels::{Size, SplitMix64, hash_noise};
 use crate::style::lattice::{Window, place};
+use crate::style::table::{self, TableError};
 use glam::DVec2;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -123,20 +124,9 @@ impl From<StartsFile> for PathBuf {
 /// Why a file of starts is refused.
 #[derive(Debug, thiserror::Error)]
 pub enum StartsError {
-    /// It cannot be read, or it is not .npy.
-    #[error("{path}: cannot read it as .npy: {reason}", path = path.display())]
-    Unreadable {
-        /// The file.
-        path: PathBuf,
-        /// The system's word.
-        reason: String,
-    },
-    /// It holds something else than starts.
-    #[error("{path}: starts are an N x 2 array of f64 or f32, N up to 4194304, rows first", path = path.display())]
-    Shape {
-        /// The file.
-        path: PathBuf,
-    },
+    /// It is no such table.
+    #[error(transparent)]
+    Table(#[from] TableError),
     /// A coordinate is not a place.
     #[error("{path}: start {index} is at ({x}, {y}); coordinates lie within 65536 px of 0", path = path.display())]
     Place {
@@ -164,24 +154,11 @@ impl TryFrom<PathBuf> for StartsFile {
 }
 
 fn read(path: &Path) -> Result<Vec<[f64; 2]>, StartsError> {
-    let unreadable = |e: std::io::Error| StartsError::Unreadable { path: path.into(), reason: e.to_string() };
-    let shape = || StartsError::Shape { path: path.into() };
-    let file = std::fs::File::open(path).map_err(unreadable)?;
-    let array = npyz::NpyFile::new(std::io::BufReader::new(file)).map_err(unreadable)?;
-    let fine = matches!(*array.shape(), [0..=MOST, 2]) && array.order() == npyz::Order::C;
-    if !fine {
-        return Err(shape());
-    }
-    let values: Vec<f64> = match array.try_data::<f64>() {
-        Ok(values) => values.collect::<Result<_, _>>().map_err(unreadable)?,
-        Err(array) => {
-            let values = array.try_data::<f32>().map_err(|_| shape())?;
-            values.map(|value| value.map(f64::from)).collect::<Result<_, _>>().map_err(unreadable)?
+    let rows = table::read::<2>(path, 0..=MOST, "starts are")?;
+    match rows.iter().position(|[x, y]| !(x.abs() < FARTHEST && y.abs() < FARTHEST)) {
+        Some(index) => {
+            Err(StartsError::Place { path: path.into(), index, x: rows[index][0], y: rows[index][1] })
         }
-    };
-    let start = |(index, &[x, y]): (usize, &[f64; 2])| match x.abs() < FARTHEST && y.abs() < FARTHEST {
-        true => Ok([x, y]),
-        false => Err(StartsError::Place { path: path.into(), index, x, y }),
-    };
-    values.as_chunks::<2>().0.iter().enumerate().map(start).collect()
+        None => Ok(rows),
+    }
 }

@@ -2,6 +2,7 @@
 
 use crate::kernel::voronoi::FARTHEST;
 use crate::pixels::{Size, SplitMix64};
+use crate::style::table::{self, TableError};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -60,20 +61,9 @@ impl From<SitesFile> for PathBuf {
 /// Why a file of sites is refused.
 #[derive(Debug, thiserror::Error)]
 pub enum SitesError {
-    /// It cannot be read, or it is not .npy.
-    #[error("{path}: cannot read it as .npy: {reason}", path = path.display())]
-    Unreadable {
-        /// The file.
-        path: PathBuf,
-        /// The system's word.
-        reason: String,
-    },
-    /// It holds something else than sites.
-    #[error("{path}: sites are an N x 2 array of f64 or f32, N from 1 to 1048576, rows first", path = path.display())]
-    Shape {
-        /// The file.
-        path: PathBuf,
-    },
+    /// It is no such table.
+    #[error(transparent)]
+    Table(#[from] TableError),
     /// A coordinate is not a place.
     #[error("{path}: site {index} is at ({x}, {y}); coordinates lie within 65536 px of 0", path = path.display())]
     Place {
@@ -101,25 +91,11 @@ impl TryFrom<PathBuf> for SitesFile {
 }
 
 fn read(path: &Path) -> Result<Sites, SitesError> {
-    let unreadable = |e: std::io::Error| SitesError::Unreadable { path: path.into(), reason: e.to_string() };
-    let shape = || SitesError::Shape { path: path.into() };
-    let file = std::fs::File::open(path).map_err(unreadable)?;
-    let array = npyz::NpyFile::new(std::io::BufReader::new(file)).map_err(unreadable)?;
-    let fine = matches!(*array.shape(), [1..=MOST, 2]) && array.order() == npyz::Order::C;
-    if !fine {
-        return Err(shape());
-    }
-    let values: Vec<f64> = match array.try_data::<f64>() {
-        Ok(values) => values.collect::<Result<_, _>>().map_err(unreadable)?,
-        Err(array) => {
-            let values = array.try_data::<f32>().map_err(|_| shape())?;
-            values.map(|value| value.map(f64::from)).collect::<Result<_, _>>().map_err(unreadable)?
-        }
-    };
+    let rows = table::read::<2>(path, 1..=MOST, "sites are")?;
     let limit = f64::from(FARTHEST / 16);
-    let site = |(index, &[x, y]): (usize, &[f64; 2])| match x.abs() < limit && y.abs() < limit {
+    let site = |(index, [x, y]): (usize, [f64; 2])| match x.abs() < limit && y.abs() < limit {
         true => Ok([lattice(x), lattice(y)]),
         false => Err(SitesError::Place { path: path.into(), index, x, y }),
     };
-    values.as_chunks::<2>().0.iter().enumerate().map(site).collect()
+    rows.into_iter().enumerate().map(site).collect()
 }
