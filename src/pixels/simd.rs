@@ -1,6 +1,6 @@
 //! The one SIMD level: which instruction set a body runs on is chosen here and nowhere else.
 //!
-//! Kernels are written once, generic over `fearless_simd::Simd`, and called through [`dispatch`]. Every level
+//! Kernels are written once, generic over `fearless_simd::Simd`, and called through `dispatch`. Every level
 //! gives the same bytes. Three bodies are built on x86-64 (scalar, SSE 4.2, AVX2), two on ARM (scalar, NEON):
 //! more levels would cost compile time and size, and nothing here is written for wider vectors.
 
