@@ -41,6 +41,11 @@ impl StyleName {
             StyleName::Sketchy => "sketchy",
         }
     }
+
+    /// Whether it has a pattern that can be anchored.
+    pub fn has_pattern(self) -> bool {
+        matches!(self, StyleName::Watercolor | StyleName::Illustrative | StyleName::Sketchy)
+    }
 }
 
 impl std::fmt::Display for StyleName {
