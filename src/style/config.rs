@@ -44,7 +44,8 @@ impl StyleName {
 
     /// Whether it has a pattern that can be anchored.
     pub fn has_pattern(self) -> bool {
-        matches!(self, StyleName::Watercolor | StyleName::Illustrative | StyleName::Sketchy)
+        use StyleName::{Illustrative, Pointillism, Sketchy, Watercolor};
+        matches!(self, Watercolor | Illustrative | Pointillism | Sketchy)
     }
 }
 
