@@ -1,5 +1,6 @@
 //! What happens between frames and around the styles: switching, and later the retouches, each held to what it says.
 
+use clap::ValueEnum;
 use vernissage::camera::{Synthetic, SyntheticConfig};
 use vernissage::frame::Frame;
 use vernissage::kernel::mix;
@@ -279,7 +280,7 @@ fn anchored_patterns_follow_the_marker() {
             frame.luma.row_mut(y).copy_from_slice(&whole.luma.row(top + y)[left..][..SIZE.width]);
         }
     };
-    for name in [StyleName::Illustrative, StyleName::Watercolor, StyleName::Sketchy] {
+    for &name in StyleName::value_variants().iter().filter(|name| name.has_pattern()) {
         let mut still = [0.0; 2];
         for (anchored, still) in [false, true].into_iter().zip(&mut still) {
             let style = style::Config { anchored, ..named(name) };

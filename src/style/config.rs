@@ -41,6 +41,12 @@ impl StyleName {
             StyleName::Sketchy => "sketchy",
         }
     }
+
+    /// Whether it has a pattern that can be anchored.
+    pub fn has_pattern(self) -> bool {
+        use StyleName::{Illustrative, Pointillism, Sketchy, Watercolor};
+        matches!(self, Watercolor | Illustrative | Pointillism | Sketchy)
+    }
 }
 
 impl std::fmt::Display for StyleName {

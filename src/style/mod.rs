@@ -159,6 +159,7 @@ impl Styler {
         match self {
             Styler::Watercolor(style) => style.anchor(motion),
             Styler::Illustrative(style) => style.anchor(motion),
+            Styler::Pointillism(style) => style.anchor(motion),
             Styler::Sketchy(style) => style.anchor(motion),
             _ => {}
         }

@@ -7,8 +7,9 @@
 //! 3. Models come as particles, far to near. Each is one more stroke, in its own color, of the sampling point nearest
 //!    to its pixel; nearer ones paint over those behind (the painter's algorithm).
 //!
-//! The grid stays where it is, and every frame is drawn from scratch.
+//! The grid stays where it is, unless it is anchored (`anchored`), and every frame is drawn from scratch.
 
+mod anchored;
 mod grid;
 mod paint;
 mod reference;
@@ -20,10 +21,12 @@ pub use sprite::SpriteFile;
 
 use super::{ConfigError, Style, StyleInput, StyleName};
 use crate::frame::{Needs, Particle};
+use crate::geometry::Similarity;
 use crate::kernel::voronoi::{LATTICE, Voronoi};
 use crate::pixels::simd::Level;
 use crate::pixels::{Plane, Rgb, Size};
 use crate::render::{Look, Scatter};
+use anchored::Anchored;
 use grid::{MAX_RADIUS, Spread};
 use paint::{Blocks, Easel, Painting, Stroke};
 use serde::{Deserialize, Serialize};
@@ -104,14 +107,17 @@ impl Config {
         if let Some(sites) = self.grid.sites() {
             return sites.to_vec();
         }
-        let spread = Spread {
+        self.spread().sites(size)
+    }
+
+    fn spread(&self) -> Spread {
+        Spread {
             skip: [self.col_skip, self.row_skip],
             range: self.range,
             radius: [self.radius_min, self.radius_max],
             color_offset: self.color_offset,
             seed: self.seed,
-        };
-        spread.sites(size)
+        }
     }
 }
 
@@ -119,33 +125,49 @@ impl Config {
 pub struct Pointillism {
     config: Config,
     level: Level,
-    /// The frame size that the grid is for.
-    size: Size,
+    /// Picture → pattern, when anchored.
+    motion: Option<Similarity>,
+    anchored: Anchored,
+    /// The frame size and motion that the sites are for.
+    laid: Option<(Size, Option<Similarity>)>,
     sites: Vec<Site>,
     stamps: Stamps,
     /// The camera picture's strokes.
     strokes: Blocks,
-    /// Which site is nearest to each pixel, once a model has been seen.
-    map: Option<Voronoi>,
-    /// The models' strokes, in order and by block.
-    model_strokes: Vec<Stroke>,
+    /// Which site is nearest to each pixel, where `mapped`: once a model has been seen.
+    map: Voronoi,
+    mapped: bool,
+    /// The sites' places for it.
+    places: Vec<[i32; 2]>,
+    /// The models' strokes.
     models: Blocks,
+    /// Strokes in order, before they are listed by block.
+    ordered: Vec<Stroke>,
     easel: Easel,
 }
 
 impl Pointillism {
     /// The style with these settings (see [`Config::validate`]), its bodies at `level`.
     pub fn new(config: Config, level: Level) -> Self {
+        // anchored strokes may be twice as large
+        let radius = match config.grid.sites() {
+            Some(sites) => sites.iter().map(|site| site.radius).max(),
+            None => Some(config.radius_max.saturating_mul(2)),
+        };
         Self {
+            stamps: Stamps::new(config.sprite.mask(), config.opacity, radius.into_iter()),
             config,
             level,
-            size: Size::new(0, 0),
+            motion: None,
+            anchored: Anchored::default(),
+            laid: None,
             sites: Vec::new(),
-            stamps: Stamps::default(),
             strokes: Blocks::default(),
-            map: None,
-            model_strokes: Vec::new(),
+            map: Voronoi::default(),
+            mapped: false,
+            places: Vec::new(),
             models: Blocks::default(),
+            ordered: Vec::new(),
             easel: Easel::default(),
         }
     }
@@ -156,47 +178,59 @@ impl Pointillism {
         Plane::from_fn(Size::new(6, sites.len()), |c, i| sites[i].to_row()[c] as f32)
     }
 
-    /// Takes the frame size; a new grid when it is another than before.
+    /// Carries the strokes along (see [`super::Styler::anchor`]); they then come from an endless lattice. The grid of a
+    /// file stays where it is.
+    pub fn anchor(&mut self, motion: Option<Similarity>) {
+        self.motion = motion.filter(|_| self.config.grid.sites().is_none());
+    }
+
+    /// Takes the frame size; new sites when it or the motion is another than before.
     fn fit(&mut self, size: Size) {
-        if self.size == size {
+        if self.laid == Some((size, self.motion)) {
             return;
         }
-        self.size = size;
-        self.map = None;
-        self.sites = self.config.sites(size);
-        let radii = self.sites.iter().map(|site| site.radius);
-        self.stamps = Stamps::new(self.config.sprite.mask(), self.config.opacity, radii);
-        let stroke = |site: &Site| Stroke {
+        self.laid = Some((size, self.motion));
+        self.mapped = false;
+        let most = match &self.motion {
+            Some(motion) => self.anchored.place(&self.config.spread(), motion, size, &mut self.sites),
+            None => {
+                self.sites = self.config.sites(size);
+                self.sites.len()
+            }
+        };
+        self.ordered.clear();
+        self.ordered.reserve(most);
+        self.ordered.extend(self.sites.iter().map(|site| Stroke {
             x: site.x,
             y: site.y,
             radius: site.radius as u16,
             color: site.offset.map(|v| paint::steps(v) as i16),
-        };
-        let strokes: Vec<Stroke> = self.sites.iter().map(stroke).collect();
-        self.strokes.sort(size, &self.stamps, &strokes, 0);
+        }));
+        let most = if self.motion.is_some() { most } else { 0 };
+        self.strokes.sort(size, &self.stamps, &self.ordered, most);
     }
 
     /// Turns the models' particles, of which there are at `most` so many, into strokes.
-    fn snap(&mut self, particles: &[Particle], most: usize) {
-        let size = self.size;
-        let map = self.map.get_or_insert_with(|| {
-            let lattice: Vec<[i32; 2]> =
-                self.sites.iter().map(|site| [site.x, site.y].map(|v| LATTICE * v + LATTICE / 2)).collect();
-            let mut map = Voronoi::default();
-            map.run(self.level, size, &lattice);
-            map
-        });
-        self.model_strokes.clear();
-        self.model_strokes.reserve(most);
-        self.model_strokes.extend(particles.iter().map(|particle| {
+    fn snap(&mut self, size: Size, particles: &[Particle], most: usize) {
+        if !self.mapped {
+            self.mapped = true;
+            self.places.clear();
+            self.places.reserve(self.sites.capacity());
+            let place = |site: &Site| [site.x, site.y].map(|v| LATTICE * v + LATTICE / 2);
+            self.places.extend(self.sites.iter().map(place));
+            self.map.run(self.level, size, &self.places);
+        }
+        self.ordered.clear();
+        self.ordered.reserve(most);
+        self.ordered.extend(particles.iter().filter_map(|particle| {
             let pixel = |v: f32, length: usize| ((v + 0.5) as usize).min(length - 1);
             let (x, y) = (pixel(particle.x, size.width), pixel(particle.y, size.height));
-            let site = &self.sites[map.row(y)[x] as usize];
+            let site = self.sites.get(self.map.row(y)[x] as usize)?;
             let color = |c: usize| (f64::from(particle.color[c]) + site.offset[c]).clamp(0.0, 1.0);
             let color = [0, 1, 2].map(|c| paint::steps(color(c)) as i16);
-            Stroke { x: site.x, y: site.y, radius: site.radius as u16, color }
+            Some(Stroke { x: site.x, y: site.y, radius: site.radius as u16, color })
         }));
-        self.models.sort(size, &self.stamps, &self.model_strokes, most);
+        self.models.sort(size, &self.stamps, &self.ordered, most);
     }
 }
 
@@ -215,7 +249,7 @@ impl Style for Pointillism {
         }
         self.fit(size);
         if let Some(layer) = input.layer {
-            self.snap(&layer.particles, layer.particles.capacity());
+            self.snap(size, &layer.particles, layer.particles.capacity());
         }
         let painting = Painting {
             picture,
