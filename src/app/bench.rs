@@ -45,7 +45,8 @@ pub struct Args {
     /// The rasteriser only
     #[arg(long)]
     raster: bool,
-    /// How calm the styles are on a noisy, still scene, and whether `[retouch.steady]` helps
+    /// How calm the styles are on a noisy, still scene, whether `[retouch.steady]` helps, and how well patterns follow
+    /// the scene with `style.anchored`
     #[arg(long)]
     coherence: bool,
     /// Thread counts to measure

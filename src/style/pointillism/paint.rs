@@ -28,6 +28,8 @@ const STRIDE: usize = ACROSS + 2 * MARGIN;
 type Line = [[i16; STRIDE]; 3];
 /// Canvas steps in a level.
 const LEVEL: i32 = 64;
+/// Listed strokes that room is made for ahead; wilder settings make the lists grow as they come.
+const ROOM: usize = 1 << 22;
 /// Full brightness.
 pub(super) const WHITE: i32 = 255 * LEVEL;
 
@@ -60,7 +62,7 @@ pub(super) struct Blocks {
 
 impl Blocks {
     /// Lists `strokes` over a frame of `size`; those outside it are dropped. Allocates only when `most`, the number of
-    /// strokes that may come, grows.
+    /// strokes that may come, grows (or their list beyond `ROOM`).
     pub fn sort(&mut self, size: Size, stamps: &Stamps, strokes: &[Stroke], most: usize) {
         self.columns = size.width.div_ceil(ACROSS);
         let count = self.columns * size.height.div_ceil(DOWN);
@@ -77,7 +79,7 @@ impl Blocks {
         // a stroke touches one block more than it can cover, along either axis
         let blocks = |length: usize| stamps.widest() / length + 2;
         self.strokes.clear();
-        self.strokes.reserve(most * blocks(ACROSS) * blocks(DOWN));
+        self.strokes.reserve((most * blocks(ACROSS) * blocks(DOWN)).min(ROOM));
         self.strokes.resize(end as usize, Stroke::default());
         for stroke in strokes.iter().rev() {
             touched(size, stamps, stroke, |block| {
