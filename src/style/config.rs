@@ -51,7 +51,7 @@ impl StyleName {
 
 impl std::fmt::Display for StyleName {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str(self.name())
+        f.pad(self.name())
     }
 }
 
