@@ -357,7 +357,7 @@ def clock(host, folder):
     (folder / "host" / "run.sh").write_text(CLOCK.format(styles=" ".join(BUDGET)))
     board = Board(folder, "clock", ["-smp", "1", "-icount", "shift=0,sleep=off"])
     try:
-        board.wait_for("ran", 240)
+        board.wait_for("ran", 480)
     finally:
         board.close(20)
     if not check(board.said("ran") == "0", f"clock: measured (exit {board.said('ran')})"):
