@@ -82,9 +82,10 @@ Settings and their defaults (a value out of range is answered with the range):
     }
     text.push_str(
         "
-Files: sites (watercolor, N x 2: x, y) and starts (sketchy, N x 2) are .npy, as is grid (pointillism, N x 6: x, y, radius, dr,
-dg, db in drawing order); sprite, brush and paper are gray pictures. paper takes true and false as well. Stages of one run may
-be fed to the next. The result is the same for any number of threads and on any processor.",
+Files: sites (watercolor, N x 2: x, y) and starts (sketchy, N x 2) are .npy, as is grid (pointillism, N x 6: x, y, \
+         radius, dr, dg, db in drawing order); sprite, brush and paper are gray pictures; paper takes true and false as \
+         well. Stages of one run may be fed to the next. The result is the same for any number of threads and on any \
+         processor.",
     );
     text
 }
