@@ -1,0 +1,559 @@
+//! Synthetic frames of markers with exact truth: what the tracker's bench looks at.
+//!
+//! A `Setup` says what stands before the camera; `clean` renders it without noise (prints area-sampled through
+//! the lens, then blur, then light), `expose` adds the sensor's noise. Everything is drawn from one seed.
+
+use crate::geometry::{Lens, Pose};
+use crate::marker::Family;
+use crate::pixels::{Plane, Size, SplitMix64};
+use crate::track::solve::corners_mm;
+use glam::{DMat3, DVec2, DVec3};
+use std::f64::consts::{PI, TAU};
+use tiny_skia::{Color, FillRule, Paint, PathBuilder, Pixmap, Rect, Stroke, Transform};
+
+/// Printed side of every marker, mm.
+pub const SIDE_MM: f64 = 100.0;
+
+/// How hard a marker is to read: *easy* = shortest edge ≥ 25 px, tilt < 45°, ink step ≥ 10 σ of the noise,
+/// motion < 1 px, blur σ < .8 px; *hard* = shortest edge < 14 px, or tilt > 65°, or ink step < 4 σ, or
+/// motion > 6 px; *medium* = the rest.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Difficulty {
+    Easy,
+    Medium,
+    Hard,
+}
+
+/// A marker as it truly stands.
+#[derive(Clone, Copy, Debug)]
+pub struct Truth {
+    /// Its number.
+    pub id: u32,
+    /// TL TR BR BL in the picture, px.
+    pub corners: [DVec2; 4],
+    /// Marker → camera, mm.
+    pub pose: Pose,
+    /// Shortest edge, px.
+    pub edge_px: f64,
+    /// Angle between the print's normal and the ray to its center, degrees.
+    pub tilt_deg: f64,
+    /// Gray step of the inks, as lit, over the noise's deviation.
+    pub snr: f64,
+    /// How hard it is.
+    pub difficulty: Difficulty,
+}
+
+/// What blurs the picture.
+#[derive(Clone, Copy, Debug)]
+pub enum Blur {
+    /// Only the pixels' own extent.
+    Sharp,
+    /// A Gaussian of this deviation, px.
+    Gaussian(f64),
+    /// Motion along this vector, px; truth holds for its middle.
+    Motion(DVec2),
+}
+
+/// What is behind the markers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Background {
+    /// An even wall.
+    Plain,
+    /// Smooth noise.
+    Texture,
+    /// Polygons, lines, grids, nested squares.
+    Clutter,
+}
+
+/// The light on the scene: brightness times a ramp, and the edge of a shadow.
+#[derive(Clone, Copy, Debug)]
+pub struct Light {
+    level: f64,
+    ramp: DVec2,
+    /// Unit normal, offset (px), softness (px), darkness.
+    shadow: Option<(DVec2, f64, f64, f64)>,
+}
+
+/// A scene before the camera.
+#[derive(Clone, Debug)]
+pub struct Setup {
+    /// The camera's lens and picture size.
+    pub lens: Lens,
+    /// Family of all its markers.
+    pub family: Family,
+    /// Markers by number and pose.
+    pub prints: Vec<(u32, Pose)>,
+    /// Gray of black and white ink under full light.
+    pub inks: [f64; 2],
+    /// What is behind them.
+    pub background: Background,
+    /// The light.
+    pub light: Light,
+    /// The blur.
+    pub blur: Blur,
+    /// Deviation of the sensor's noise, gray levels.
+    pub sigma: f64,
+    /// Seed of the background.
+    pub seed: u64,
+}
+
+impl Light {
+    /// An even, full light.
+    pub const EVEN: Light = Light { level: 1.0, ramp: DVec2::ZERO, shadow: None };
+
+    fn random(rng: &mut SplitMix64, size: Size) -> Self {
+        let kind = rng.f64();
+        let turn = rng.f64() * TAU;
+        let along = DVec2::new(libm::cos(turn), libm::sin(turn));
+        let mild = along * between(rng, 0.0, 0.12);
+        if kind < 0.45 {
+            Light { level: between(rng, 0.85, 1.0), ramp: mild, shadow: None }
+        } else if kind < 0.65 {
+            Light { level: 0.65, ramp: along * between(rng, 0.3, 0.5), shadow: None }
+        } else if kind < 0.85 {
+            let middle = DVec2::new(size.width as f64, size.height as f64)
+                * DVec2::new(between(rng, 0.25, 0.75), between(rng, 0.25, 0.75));
+            let turn = rng.f64() * TAU;
+            let normal = DVec2::new(libm::cos(turn), libm::sin(turn));
+            let shadow = (normal, normal.dot(middle), between(rng, 1.0, 12.0), between(rng, 0.35, 0.7));
+            Light { level: 0.95, ramp: mild, shadow: Some(shadow) }
+        } else {
+            Light { level: between(rng, 0.12, 0.3), ramp: mild * 0.3, shadow: None }
+        }
+    }
+
+    /// The factor on the ink at a pixel.
+    fn at(&self, p: DVec2, size: Size) -> f64 {
+        let half = DVec2::new(size.width as f64, size.height as f64) * 0.5;
+        let factor = self.level * (1.0 + self.ramp.dot((p - half) / half.max_element()));
+        let shade = self.shadow.map_or(1.0, |(normal, offset, soft, dark)| {
+            let t = (0.5 + (normal.dot(p) - offset) / (2.0 * soft)).clamp(0.0, 1.0);
+            1.0 - dark * t * t * (3.0 - 2.0 * t)
+        });
+        factor.max(0.05) * shade
+    }
+}
+
+/// Uniform in [low, high).
+fn between(rng: &mut SplitMix64, low: f64, high: f64) -> f64 {
+    low + (high - low) * rng.f64()
+}
+
+/// Logarithmically uniform in [low, high).
+fn scaled(rng: &mut SplitMix64, low: f64, high: f64) -> f64 {
+    libm::exp(between(rng, libm::log(low), libm::log(high)))
+}
+
+/// A deviate of the normal distribution (Box & Muller 1958).
+pub fn normal(rng: &mut SplitMix64) -> f64 {
+    (-2.0 * libm::log(1.0 - rng.f64())).sqrt() * libm::cos(TAU * rng.f64())
+}
+
+fn random_lens(rng: &mut SplitMix64, size: Size, distorted: bool) -> Lens {
+    let mut lens = Lens::guess(size);
+    lens.focal *= between(rng, 0.85, 1.3);
+    lens.center += DVec2::new(between(rng, -8.0, 8.0), between(rng, -8.0, 8.0));
+    if distorted {
+        lens.distortion[0] = between(rng, -0.28, 0.08);
+        lens.distortion[1] = between(rng, -0.02, 0.06);
+        lens.distortion[2] = between(rng, -1e-3, 1e-3);
+        lens.distortion[3] = between(rng, -1e-3, 1e-3);
+    }
+    lens
+}
+
+/// A print about `side_px` large at pixel `center`, spun by `spin` and tilted by `tilt` (radians) about an
+/// axis of its plane's direction `about`, as seen from the camera.
+pub fn pose_at(lens: &Lens, center: DVec2, side_px: f64, spin: f64, tilt: f64, about: f64) -> Option<Pose> {
+    let ray = lens.undistort(center)?.extend(1.0);
+    let forward = ray / ray.length();
+    let right = DVec3::Y.cross(forward);
+    let right = right / right.length();
+    let down = forward.cross(right);
+    // print facing the camera along its ray: x right, y up, z towards the viewer
+    let facing = DMat3::from_cols(right, -down, -forward);
+    let axis = DVec3::new(libm::cos(about), libm::sin(about), 0.0);
+    let turn = DMat3::from_axis_angle(axis, tilt) * DMat3::from_axis_angle(DVec3::Z, spin);
+    Some(Pose { rotation: facing * turn, translation: ray * (lens.focal.x * SIDE_MM / side_px) })
+}
+
+impl Setup {
+    /// Accuracy set: 1-6 markers, side log-uniform 15-250 px, tilt 0-75°; noise, blur, light, background and
+    /// lens of every kind.
+    pub fn accuracy(rng: &mut SplitMix64, size: Size, family: Family) -> Self {
+        let sigma = match rng.f64() {
+            k if k < 0.3 => between(rng, 0.0, 2.0),
+            k if k < 0.7 => between(rng, 2.0, 8.0),
+            _ => between(rng, 8.0, 20.0),
+        };
+        let blur = match rng.f64() {
+            k if k < 0.4 => Blur::Sharp,
+            k if k < 0.7 => Blur::Gaussian(between(rng, 0.6, 2.0)),
+            _ => {
+                let turn = rng.f64() * TAU;
+                Blur::Motion(DVec2::new(libm::cos(turn), libm::sin(turn)) * between(rng, 2.0, 10.0))
+            }
+        };
+        let background = match rng.f64() {
+            k if k < 0.3 => Background::Plain,
+            k if k < 0.55 => Background::Texture,
+            _ => Background::Clutter,
+        };
+        let distorted = rng.f64() < 0.5;
+        let mut setup = Self {
+            lens: random_lens(rng, size, distorted),
+            family,
+            prints: Vec::new(),
+            inks: [between(rng, 15.0, 45.0), between(rng, 190.0, 245.0)],
+            background,
+            light: Light::random(rng, size),
+            blur,
+            sigma,
+            seed: rng.next_u64(),
+        };
+        let count = rng.int(1, 6) as usize;
+        setup.place(rng, count, [15.0, 250.0], [0.0, 75.0]);
+        setup
+    }
+
+    /// Speed set: 2-5 markers of 30-180 px, tilt below 60°; `kind` 0 calm (σ 2), 1 cluttered (σ 3), 2 noisy
+    /// (σ 10).
+    pub fn speed(rng: &mut SplitMix64, size: Size, family: Family, kind: usize) -> Self {
+        let (sigma, background) = [
+            (2.0, Background::Plain),
+            (3.0, Background::Clutter),
+            (10.0, Background::Texture),
+        ][kind % 3];
+        let mut setup = Self {
+            lens: random_lens(rng, size, false),
+            family,
+            prints: Vec::new(),
+            inks: [30.0, 220.0],
+            background,
+            light: Light { level: 0.95, ramp: DVec2::new(0.1, 0.05), shadow: None },
+            blur: Blur::Gaussian(0.6),
+            sigma,
+            seed: rng.next_u64(),
+        };
+        let count = rng.int(2, 5) as usize;
+        setup.place(rng, count, [30.0, 180.0], [0.0, 60.0]);
+        setup
+    }
+
+    /// Still set: one marker, side 20-180 px, tilt 2-65°; `kind` chooses σ 2, 5 or 10.
+    pub fn still(rng: &mut SplitMix64, size: Size, family: Family, kind: usize) -> Self {
+        let mut setup = Self {
+            lens: random_lens(rng, size, false),
+            family,
+            prints: Vec::new(),
+            inks: [30.0, 220.0],
+            background: Background::Texture,
+            light: Light { level: 0.95, ramp: DVec2::new(0.1, 0.05), shadow: None },
+            blur: Blur::Gaussian(0.5),
+            sigma: [2.0, 5.0, 10.0][kind % 3],
+            seed: rng.next_u64(),
+        };
+        setup.place(rng, 1, [20.0, 180.0], [2.0, 65.0]);
+        setup
+    }
+
+    /// A frame without a marker of `family`: clutter, or (every second one) markers of `other`.
+    pub fn negative(rng: &mut SplitMix64, size: Size, other: Family, with_other: bool) -> Self {
+        let mut setup = Self::accuracy(rng, size, other);
+        if !with_other {
+            setup.prints.clear();
+            setup.background = Background::Clutter;
+        }
+        setup
+    }
+
+    fn place(&mut self, rng: &mut SplitMix64, count: usize, side: [f64; 2], tilt: [f64; 2]) {
+        let Size { width, height } = self.lens.size;
+        let cells = self.family.cells() as f64;
+        let mut taken: Vec<(DVec2, f64)> = Vec::new();
+        for _ in 0..count * 40 {
+            if self.prints.len() == count {
+                break;
+            }
+            let side_px = scaled(rng, side[0], side[1]);
+            let center = DVec2::new(rng.f64() * width as f64, rng.f64() * height as f64);
+            let tilt = between(rng, tilt[0], tilt[1]).to_radians();
+            let (spin, about) = (rng.f64() * TAU, rng.f64() * TAU);
+            let Some(pose) = pose_at(&self.lens, center, side_px, spin, tilt, about) else { continue };
+            let Some(outer) = self.corners(&pose, 1.0 + 2.0 / cells) else { continue };
+            let inside = |p: &DVec2| {
+                p.x >= 2.0 && p.y >= 2.0 && p.x <= width as f64 - 3.0 && p.y <= height as f64 - 3.0
+            };
+            let reach = outer.iter().fold(0.0f64, |most, p| most.max((*p - center).length()));
+            let free = taken.iter().all(|(at, r)| (*at - center).length() > r + reach);
+            let id = rng.int(0, self.family.codes().len() as i64 - 1) as u32;
+            if outer.iter().all(inside) && free && self.prints.iter().all(|(other, _)| *other != id) {
+                taken.push((center, reach));
+                self.prints.push((id, pose));
+            }
+        }
+    }
+
+    /// Corners of the print grown by `grow` in the picture.
+    fn corners(&self, pose: &Pose, grow: f64) -> Option<[DVec2; 4]> {
+        let mut out = [DVec2::ZERO; 4];
+        for (px, mm) in out.iter_mut().zip(corners_mm(SIDE_MM * grow)) {
+            *px = self.lens.project(pose.apply(mm))?;
+        }
+        Some(out)
+    }
+
+    /// The truth about every marker in view.
+    pub fn truth(&self) -> Vec<Truth> {
+        let motion = if let Blur::Motion(v) = self.blur { v.length() } else { 0.0 };
+        let blur = if let Blur::Gaussian(s) = self.blur { s } else { 0.0 };
+        let of = |&(id, pose): &(u32, Pose)| {
+            let corners = self.corners(&pose, 1.0)?;
+            let edge_px = (0..4).map(|i| (corners[(i + 1) % 4] - corners[i]).length()).fold(f64::MAX, f64::min);
+            let ray = pose.translation / pose.translation.length();
+            let tilt_deg = libm::acos((-pose.rotation.z_axis.dot(ray)).clamp(-1.0, 1.0)) * 180.0 / PI;
+            let center = (corners[0] + corners[1] + corners[2] + corners[3]) * 0.25;
+            let step = (self.inks[1] - self.inks[0]) * self.light.at(center, self.lens.size);
+            let snr = step / self.sigma.max(1e-3);
+            let difficulty = if edge_px < 14.0 || tilt_deg > 65.0 || snr < 4.0 || motion > 6.0 {
+                Difficulty::Hard
+            } else if edge_px >= 25.0 && tilt_deg < 45.0 && snr >= 10.0 && motion < 1.0 && blur < 0.8 {
+                Difficulty::Easy
+            } else {
+                Difficulty::Medium
+            };
+            Some(Truth { id, corners, pose, edge_px, tilt_deg, snr, difficulty })
+        };
+        self.prints.iter().filter_map(of).collect()
+    }
+
+    /// The picture without noise, gray levels row by row.
+    pub fn clean(&self) -> Vec<f32> {
+        let size = self.lens.size;
+        let mut frame = self.behind();
+        for (id, pose) in &self.prints {
+            self.print(&mut frame, *id, pose);
+        }
+        match self.blur {
+            Blur::Sharp => {}
+            Blur::Gaussian(sigma) => gaussian(&mut frame, size, sigma),
+            Blur::Motion(way) => motion(&mut frame, size, way),
+        }
+        for (i, v) in frame.iter_mut().enumerate() {
+            let p = DVec2::new((i % size.width) as f64, (i / size.width) as f64);
+            *v *= self.light.at(p, size) as f32;
+        }
+        frame
+    }
+
+    /// Area-sampled print: pixels whose corners see one ink take it, the others average 8x8 points.
+    fn print(&self, frame: &mut [f32], id: u32, pose: &Pose) {
+        let Size { width, height } = self.lens.size;
+        let Some(picture) = self.family.picture(id) else { return };
+        let samples = picture.size().width as f64;
+        let cells = self.family.cells() as f64;
+        let r = pose.rotation;
+        let plane = DMat3::from_cols(r.x_axis, r.y_axis, pose.translation).inverse();
+        let Some(outer) = self.corners(pose, (samples + 1.0) / cells) else { return };
+        let low = outer.iter().fold(DVec2::INFINITY, |a, b| a.min(*b)) - 2.0;
+        let high = outer.iter().fold(DVec2::NEG_INFINITY, |a, b| a.max(*b)) + 2.0;
+        let paper = |seen: DVec2| {
+            let q = plane * self.lens.undistort(seen)?.extend(1.0);
+            let p = DVec2::new(q.x / q.z, -q.y / q.z) * (cells / SIDE_MM) + 0.5 * samples;
+            let inside = q.z > 0.0 && p.x >= 0.0 && p.y >= 0.0 && p.x < samples && p.y < samples;
+            inside.then(|| self.inks[usize::from(picture.at(p.x as usize, p.y as usize) > 0)])
+        };
+        for y in low.y.max(0.0) as usize..(high.y.max(0.0) as usize + 1).min(height) {
+            for x in low.x.max(0.0) as usize..(high.x.max(0.0) as usize + 1).min(width) {
+                let at = DVec2::new(x as f64, y as f64);
+                let corner = |dx: f64, dy: f64| paper(at + DVec2::new(dx, dy));
+                let probes =
+                    [corner(-0.5, -0.5), corner(0.5, -0.5), corner(-0.5, 0.5), corner(0.5, 0.5), corner(0.0, 0.0)];
+                let pixel = &mut frame[y * width + x];
+                if probes.iter().all(|ink| *ink == probes[0]) {
+                    *pixel = probes[0].map_or(*pixel, |ink| ink as f32);
+                    continue;
+                }
+                let mut sum = 0.0;
+                for k in 0..64 {
+                    let offset = DVec2::new((k % 8) as f64, (k / 8) as f64) / 8.0 - 7.0 / 16.0;
+                    sum += paper(at + offset).unwrap_or(f64::from(*pixel));
+                }
+                *pixel = (sum / 64.0) as f32;
+            }
+        }
+    }
+
+    /// The background under full light.
+    fn behind(&self) -> Vec<f32> {
+        let Size { width, height } = self.lens.size;
+        let mut rng = SplitMix64::new(self.seed);
+        let base = between(&mut rng, 70.0, 200.0);
+        match self.background {
+            Background::Plain => vec![base as f32; width * height],
+            Background::Texture => {
+                let amplitude = between(&mut rng, 20.0, 70.0);
+                let seed = rng.next_u64();
+                let at = |i: usize| {
+                    let (x, y) = ((i % width) as f64, (i / width) as f64);
+                    let rough = smooth(x, y, 23.0, seed) + 0.5 * smooth(x, y, 9.0, seed + 1)
+                        + 0.25 * smooth(x, y, 3.5, seed + 2);
+                    (base + amplitude * (rough - 0.875)).clamp(5.0, 250.0) as f32
+                };
+                (0..width * height).map(at).collect()
+            }
+            Background::Clutter => clutter(&mut rng, self.lens.size, base),
+        }
+    }
+}
+
+/// The clean picture as the sensor saw it: normal noise, rounded.
+pub fn expose(clean: &[f32], size: Size, sigma: f64, rng: &mut SplitMix64) -> Plane<u8> {
+    Plane::from_fn(size, |x, y| {
+        let v = f64::from(clean[y * size.width + x]) + sigma * normal(rng);
+        (v + 0.5).clamp(0.0, 255.0) as u8
+    })
+}
+
+/// Bilinear hash noise in 0..1.
+fn smooth(x: f64, y: f64, cell: f64, seed: u64) -> f64 {
+    let (x, y) = (x / cell, y / cell);
+    let (i, j) = (x as u32, y as u32);
+    let at = |i: u32, j: u32| {
+        (crate::pixels::hash_noise(i, j, seed, 0) >> 40) as f64 / (1u64 << 24) as f64
+    };
+    let (s, t) = (x - f64::from(i), y - f64::from(j));
+    (at(i, j) * (1.0 - s) + at(i + 1, j) * s) * (1.0 - t)
+        + (at(i, j + 1) * (1.0 - s) + at(i + 1, j + 1) * s) * t
+}
+
+/// A table full of things: polygons, lines, checkerboards, nested squares, windows, print.
+fn clutter(rng: &mut SplitMix64, size: Size, base: f64) -> Vec<f32> {
+    let Some(mut map) = Pixmap::new(size.width as u32, size.height as u32) else { return Vec::new() };
+    let ink = |gray: f64| {
+        let g = (gray.clamp(0.0, 255.0) + 0.5) as u8;
+        let mut paint = Paint::default();
+        paint.set_color_rgba8(g, g, g, 255);
+        paint
+    };
+    let g = (base / 255.0) as f32;
+    map.fill(Color::from_rgba(g, g, g, 1.0).unwrap_or(Color::BLACK));
+    let (w, h) = (size.width as f64, size.height as f64);
+    let things = (60.0 * (w * h / 307_200.0)) as usize;
+    for _ in 0..things {
+        let center = DVec2::new(rng.f64() * w, rng.f64() * h);
+        let reach = scaled(rng, 6.0, 120.0);
+        let turn = rng.f64() * TAU;
+        let (gray, other) = (between(rng, 10.0, 245.0), between(rng, 10.0, 245.0));
+        let place = Transform::from_rotate_at(
+            (turn * 180.0 / PI) as f32,
+            center.x as f32,
+            center.y as f32,
+        );
+        let mut rect = |x: f64, y: f64, w: f64, h: f64, gray: f64| {
+            if let Some(rect) = Rect::from_xywh((center.x + x) as f32, (center.y + y) as f32, w as f32, h as f32) {
+                map.fill_rect(rect, &ink(gray), place, None);
+            }
+        };
+        match rng.int(0, 6) {
+            0 => {
+                // nested squares
+                let mut r = reach;
+                let mut k = 0;
+                while r > 3.0 && k < 5 {
+                    rect(-r, -r, 2.0 * r, 2.0 * r, if k % 2 == 0 { gray } else { other });
+                    (r, k) = (r * between(rng, 0.5, 0.85), k + 1);
+                }
+            }
+            1 => {
+                // checkerboard
+                let (n, cell) = (rng.int(3, 8), (reach / 4.0).max(3.0));
+                for i in 0..n * n {
+                    let (x, y) = ((i % n) as f64 * cell, (i / n) as f64 * cell);
+                    rect(x, y, cell, cell, if (i % n + i / n) % 2 == 0 { gray } else { other });
+                }
+            }
+            2 => {
+                // lines of print
+                let height = (reach / 10.0).max(2.0);
+                rect(-reach, -reach, 2.0 * reach, 2.0 * reach, between(rng, 200.0, 245.0));
+                for line in 0..6 {
+                    let mut x = -0.9 * reach;
+                    while x < 0.85 * reach {
+                        let wide = between(rng, 0.3, 1.6) * height;
+                        rect(x, -0.85 * reach + line as f64 * 2.9 * height, wide, 1.6 * height, 30.0);
+                        x += wide + between(rng, 0.2, 0.7) * height;
+                    }
+                }
+            }
+            3 => rect(-reach, -0.6 * reach, 2.0 * reach, 1.2 * reach, gray),
+            kind => {
+                let mut path = PathBuilder::new();
+                let corners = rng.int(3, 8);
+                for i in 0..corners {
+                    let angle = (i as f64 + between(rng, -0.3, 0.3)) / corners as f64 * TAU;
+                    let r = reach * between(rng, 0.4, 1.0);
+                    let (x, y) = ((center.x + r * libm::cos(angle)) as f32, (center.y + r * libm::sin(angle)) as f32);
+                    if i == 0 { path.move_to(x, y) } else { path.line_to(x, y) }
+                }
+                path.close();
+                let Some(path) = path.finish() else { continue };
+                if kind == 4 {
+                    let width = between(rng, 1.0, 6.0) as f32;
+                    let stroke = Stroke { width, ..Stroke::default() };
+                    map.stroke_path(&path, &ink(gray), &stroke, Transform::identity(), None);
+                } else {
+                    map.fill_path(&path, &ink(gray), FillRule::Winding, Transform::identity(), None);
+                }
+            }
+        }
+    }
+    map.pixels().iter().map(|p| f32::from(p.red())).collect()
+}
+
+/// Separable Gaussian, clamped at the border.
+fn gaussian(frame: &mut [f32], size: Size, sigma: f64) {
+    let radius = (4.0 * sigma).ceil() as isize;
+    let weight = |k: isize| libm::exp(-0.5 * (k as f64 / sigma) * (k as f64 / sigma));
+    let total: f64 = (-radius..=radius).map(weight).sum();
+    let weights: Vec<f32> = (-radius..=radius).map(|k| (weight(k) / total) as f32).collect();
+    let (width, height) = (size.width as isize, size.height as isize);
+    for (across, down) in [(1, 0), (0, 1)] {
+        let from = frame.to_vec();
+        for y in 0..height {
+            for x in 0..width {
+                let mut sum = 0.0;
+                for (k, w) in (-radius..=radius).zip(&weights) {
+                    let u = (x + k * across).clamp(0, width - 1);
+                    let v = (y + k * down).clamp(0, height - 1);
+                    sum += w * from[(v * width + u) as usize];
+                }
+                frame[(y * width + x) as usize] = sum;
+            }
+        }
+    }
+}
+
+/// Mean along a straight way, bilinear steps of a third of a pixel, clamped at the border.
+fn motion(frame: &mut [f32], size: Size, way: DVec2) {
+    let steps = ((3.0 * way.length()).ceil() as usize).max(2);
+    let from = frame.to_vec();
+    let (width, height) = (size.width, size.height);
+    for y in 0..height {
+        for x in 0..width {
+            let mut sum = 0.0;
+            for k in 0..steps {
+                let t = (k as f64 + 0.5) / steps as f64 - 0.5;
+                let p = DVec2::new(x as f64, y as f64) + way * t;
+                let p = p.clamp(DVec2::ZERO, DVec2::new(width as f64 - 1.001, height as f64 - 1.001));
+                let (i, j) = (p.x as usize, p.y as usize);
+                let (s, t) = ((p.x - i as f64) as f32, (p.y - j as f64) as f32);
+                let at = j * width + i;
+                let top = from[at] * (1.0 - s) + from[at + 1] * s;
+                let bottom = from[at + width] * (1.0 - s) + from[at + width + 1] * s;
+                sum += top * (1.0 - t) + bottom * t;
+            }
+            frame[y * width + x] = sum / steps as f32;
+        }
+    }
+}
