@@ -14,6 +14,7 @@ mod contour;
 mod decode;
 mod quad;
 mod rectify;
+mod search;
 mod segment;
 pub mod solve;
 mod threshold;
@@ -21,15 +22,14 @@ mod threshold;
 use crate::frame::Sighting;
 use crate::geometry::Lens;
 use crate::marker::Family;
-use crate::pixels::{PlaneRef, simd::Level};
-use contour::Crack;
+use crate::pixels::{Plane, PlaneRef, simd::Level};
 use decode::{Decoded, View};
 use glam::DVec2;
+use quad::Quad;
 use rayon::prelude::*;
 use rectify::Rectify;
-use segment::Segment;
+use search::{Limits, Search};
 use serde::{Deserialize, Serialize};
-use threshold::Threshold;
 
 /// Largest picture side the tracker works on, px (contours count half pixels in 16 bits). Larger pictures
 /// show no markers.
@@ -70,13 +70,11 @@ pub struct Wanted {
     pub side_mm: f64,
 }
 
-/// A contour that may be a marker's, and what was read in it.
+/// A quad that may be a marker, and what was read in it.
 #[derive(Clone, Copy, Debug)]
 struct Candidate {
-    from: usize,
-    to: usize,
-    area: i64,
-    found: Option<Sighting>,
+    quad: Quad,
+    found: Option<Decoded>,
 }
 
 /// Finds markers; owns every buffer it needs.
@@ -84,12 +82,12 @@ struct Candidate {
 pub struct Tracker {
     config: Config,
     level: Level,
-    threshold: Threshold,
-    segment: Segment,
+    whole: Search,
+    half: Search,
+    halved: Plane<u8>,
     rectify: Rectify,
-    order: Vec<u32>,
-    contours: Vec<Crack>,
     candidates: Vec<Candidate>,
+    decoded: Vec<Decoded>,
     sightings: Vec<Sighting>,
 }
 
@@ -99,12 +97,12 @@ impl Tracker {
         Self {
             config,
             level,
-            threshold: Threshold::default(),
-            segment: Segment::default(),
+            whole: Search::default(),
+            half: Search::default(),
+            halved: Plane::default(),
             rectify: Rectify::default(),
-            order: Vec::new(),
-            contours: Vec::new(),
             candidates: Vec::new(),
+            decoded: Vec::new(),
             sightings: Vec::new(),
         }
     }
@@ -123,44 +121,36 @@ impl Tracker {
             return &self.sightings;
         }
         self.rectify.prepare(lens, size);
-        self.threshold.apply(luma, self.config.least_contrast.clamp(1, 60), self.level);
-        self.outline();
-        let (contours, rectify, align) = (&self.contours, &self.rectify, self.config.align);
+        let limits = Limits {
+            least_side_px: self.config.least_side_px.max(8),
+            least_contrast: self.config.least_contrast.clamp(1, 60),
+            most: self.config.most_candidates,
+            step: 1,
+        };
+        self.candidates.clear();
+        let quads = self.whole.quads(luma, &self.rectify, limits, self.level);
+        self.candidates.extend(quads.iter().map(|&quad| Candidate { quad, found: None }));
+        let env = std::env::var("HALF").ok().map_or(0, |v| v.parse().unwrap_or(0));
+        if self.whole.limit() >= env {
+            search::halve(luma, &mut self.halved);
+            let limits = Limits { step: 2, ..limits };
+            let quads = self.half.quads(self.halved.view(), &self.rectify, limits, self.level);
+            self.candidates.extend(quads.iter().map(|&quad| Candidate { quad, found: None }));
+        }
+        let (rectify, align, level) = (&self.rectify, self.config.align, self.level);
         let view = View { luma, lens };
         self.candidates.par_iter_mut().with_min_len(4).for_each(|candidate| {
-            let contour = &contours[candidate.from..candidate.to];
-            candidate.found = quad::fit(contour, candidate.area, rectify)
-                .and_then(|quad| read(&view, &quad, wanted))
-                .map(|decoded| sight(&view, &decoded, wanted, align));
+            candidate.found = read(&view, &candidate.quad, wanted);
         });
-        self.sightings.extend(self.candidates.iter().filter_map(|c| c.found));
-        keep_best(&mut self.sightings);
+        self.decoded.clear();
+        self.decoded.extend(self.candidates.iter().filter_map(|c| c.found));
+        keep_best(&mut self.decoded);
+        self.sightings.par_extend(
+            self.decoded
+                .par_iter()
+                .map(|decoded| sight(&view, decoded, wanted, align.then_some((rectify, level)))),
+        );
         &self.sightings
-    }
-
-    /// Contours of the blobs that may be markers, largest boxes first.
-    fn outline(&mut self) {
-        let mask = self.threshold.mask();
-        let blobs = self.segment.blobs(mask, self.config.least_side_px.max(8));
-        self.order.clear();
-        self.order.extend(0..blobs.len() as u32);
-        let size = |i: &u32| blobs[*i as usize].extent().iter().sum::<u32>();
-        self.order.sort_unstable_by_key(|i| (std::cmp::Reverse(size(i)), *i));
-        self.order.truncate(self.config.most_candidates);
-        self.contours.clear();
-        self.candidates.clear();
-        for &i in &self.order {
-            let blob = &blobs[i as usize];
-            let from = self.contours.len();
-            let Some(area) = contour::trace(mask, blob, &mut self.contours) else { continue };
-            let [w, h] = blob.extent().map(i64::from);
-            // the thinnest view of a square still fills this much of its box
-            if 6 * area < w * h {
-                self.contours.truncate(from);
-                continue;
-            }
-            self.candidates.push(Candidate { from, to: self.contours.len(), area, found: None });
-        }
     }
 }
 
@@ -191,8 +181,8 @@ pub fn wish(wanted: &[Wanted], family: Family, id: u32) -> Option<&Wanted> {
 }
 
 /// Sharpens the corners and solves the poses.
-fn sight(view: &View<'_>, found: &Decoded, wanted: &[Wanted], align: bool) -> Sighting {
-    let aligned = if align { align::align(view, found) } else { None };
+fn sight(view: &View<'_>, found: &Decoded, wanted: &[Wanted], align: Option<(&Rectify, Level)>) -> Sighting {
+    let aligned = align.and_then(|(rectify, level)| align::align(view, found, rectify, level));
     let quad = aligned.unwrap_or(found.quad);
     let corners = quad.map(|p| rectify::seen(view.lens, p));
     let side_mm = wish(wanted, found.family, found.reading.id).map_or(f64::NAN, |w| w.side_mm);
@@ -208,31 +198,31 @@ fn sight(view: &View<'_>, found: &Decoded, wanted: &[Wanted], align: bool) -> Si
     }
 }
 
-/// Orders by family and id; of overlapping sightings of one marker the best stays: fewer corrected bits,
-/// then the clearer one.
-fn keep_best(sightings: &mut Vec<Sighting>) {
-    let center = |s: &Sighting| (s.corners[0] + s.corners[1] + s.corners[2] + s.corners[3]) * 0.25;
-    let key = |s: &Sighting| (s.family, s.id, s.hamming);
-    sightings.sort_unstable_by(|a, b| {
-        let place = |s: &Sighting| (center(s).y, center(s).x);
+/// Orders by family and id; of overlapping readings of one marker the best stays: fewer corrected bits, then the
+/// clearer one.
+fn keep_best(found: &mut Vec<Decoded>) {
+    let center = |d: &Decoded| (d.quad[0] + d.quad[1] + d.quad[2] + d.quad[3]) * 0.25;
+    let key = |d: &Decoded| (d.family, d.reading.id, d.reading.hamming);
+    found.sort_unstable_by(|a, b| {
+        let place = |d: &Decoded| (center(d).y, center(d).x);
         let by_place = |a: (f64, f64), b: (f64, f64)| a.0.total_cmp(&b.0).then(a.1.total_cmp(&b.1));
         key(a).cmp(&key(b)).then(b.margin.total_cmp(&a.margin)).then(by_place(place(a), place(b)))
     });
     let mut kept = 0;
-    for i in 0..sightings.len() {
-        let this = sightings[i];
-        let reach =
-            |s: &Sighting| (s.corners[2] - s.corners[0]).length().max((s.corners[3] - s.corners[1]).length());
-        let again = sightings[..kept].iter().any(|other| {
+    for i in 0..found.len() {
+        let this = found[i];
+        let reach = |d: &Decoded| (d.quad[2] - d.quad[0]).length().max((d.quad[3] - d.quad[1]).length());
+        let again = found[..kept].iter().any(|other| {
             let apart = (center(other) - center(&this)).length();
-            other.family == this.family && other.id == this.id && apart < 0.5 * reach(other).max(reach(&this))
+            let same = (other.family, other.reading.id) == (this.family, this.reading.id);
+            same && apart < 0.5 * reach(other).max(reach(&this))
         });
         if !again {
-            sightings[kept] = this;
+            found[kept] = this;
             kept += 1;
         }
     }
-    sightings.truncate(kept);
+    found.truncate(kept);
 }
 
 /// Mean side of a quadrilateral of corners, px.

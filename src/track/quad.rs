@@ -15,8 +15,12 @@ pub type Quad = [DVec2; 4];
 /// Least length of a side, px.
 pub const LEAST_SIDE_PX: f64 = 5.0;
 
-/// The quadrilateral whose outline the contour is; `None` when it is none. `area`: enclosed px².
-pub fn fit(contour: &[Crack], area: i64, rectify: &Rectify) -> Option<Quad> {
+/// The quadrilateral whose outline the contour is; `None` when it is none. `area`: enclosed px²; `step`: pixels
+/// of the whole picture along one of the contour's.
+pub fn fit(contour: &[Crack], area: i64, step: u32, rectify: &Rectify) -> Option<Quad> {
+    let step = f64::from(step);
+    let shift = 0.5 * (step - 1.0);
+    let area = area as f64 * step * step;
     let count = contour.len();
     if count < 16 {
         return None;
@@ -24,7 +28,7 @@ pub fn fit(contour: &[Crack], area: i64, rectify: &Rectify) -> Option<Quad> {
     let at = |i: usize| {
         // indices run at most once around; a division here would cost more than everything else
         let [x, y] = contour[if i < count { i } else { i - count }];
-        rectify.ideal(DVec2::new(f64::from(x), f64::from(y)) * 0.5)
+        rectify.ideal(DVec2::new(f64::from(x), f64::from(y)) * (0.5 * step) + shift)
     };
     let farthest_from = |p: DVec2| farthest(0..count, |i| (at(i) - p).length_squared());
     let (a, _) = farthest_from(at(farthest_from(at(0))?.0))?;
@@ -51,7 +55,7 @@ pub fn fit(contour: &[Crack], area: i64, rectify: &Rectify) -> Option<Quad> {
     corners.iter_mut().for_each(|i| *i %= count);
     corners.sort_unstable();
     let rough = corners.map(at);
-    if !(is_convex(&rough) && fits_area(&rough, area as f64)) {
+    if !(is_convex(&rough) && fits_area(&rough, area)) {
         return None;
     }
 
@@ -70,11 +74,11 @@ pub fn fit(contour: &[Crack], area: i64, rectify: &Rectify) -> Option<Quad> {
             if pass > 0 {
                 // dents and bumps: once more without the points far off
                 let old = *line;
-                let reach = (2.0 * old.rms).max(0.7);
+                let reach = (2.0 * old.rms).max(0.7 * step);
                 let near = (from + margin..=to - margin).map(at).filter(|&p| old.distance(p).abs() <= reach);
                 *line = Line::through(near)?;
                 let length = (at(to) - at(from)).length();
-                if line.rms > 0.7 + 0.005 * length {
+                if line.rms > 0.7 * step + 0.005 * length {
                     return None;
                 }
             }
@@ -91,7 +95,7 @@ pub fn fit(contour: &[Crack], area: i64, rectify: &Rectify) -> Option<Quad> {
             }
         }
     }
-    (is_convex(&quad) && fits_area(&quad, area as f64)).then_some(quad)
+    (is_convex(&quad) && fits_area(&quad, area)).then_some(quad)
 }
 
 /// Whether the corners are finite, clockwise as seen, and no side is shorter than `LEAST_SIDE_PX`.

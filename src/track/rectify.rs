@@ -6,6 +6,7 @@
 
 use crate::geometry::Lens;
 use crate::pixels::Size;
+use fearless_simd::{Simd, SimdFrom, f32x8, prelude::*};
 use glam::DVec2;
 
 const STEP: usize = 8;
@@ -57,6 +58,38 @@ impl Rectify {
         let top = corner(at) * (1.0 - s) + corner(at + 1) * s;
         let bottom = corner(at + self.columns) * (1.0 - s) + corner(at + self.columns + 1) * s;
         seen + top * (1.0 - t) + bottom * t
+    }
+}
+
+impl Rectify {
+    /// Ideal places of the pixels `x..x + 8` of row `y`, by quadratics through the table's nodes (8 px apart).
+    #[inline(always)]
+    pub fn run<S: Simd>(&self, simd: S, x: usize, y: usize) -> (f32x8<S>, f32x8<S>) {
+        let ramp = f32x8::simd_from(simd, [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0]);
+        let across = ramp + x as f32;
+        let down = f32x8::splat(simd, y as f32);
+        if self.table.is_empty() {
+            return (across, down);
+        }
+        // the node in the middle of the 3x3 used
+        let (column, row) = ((x + 4 + STEP / 2) / STEP, (y + STEP / 2) / STEP);
+        let column = column.clamp(1, self.columns.max(3) - 2);
+        let row = row.clamp(1, (self.table.len() / self.columns.max(1)).max(3) - 2);
+        let weights = |t: f32| [0.5 * t * (t - 1.0), 1.0 - t * t, 0.5 * t * (t + 1.0)];
+        let down_weights = weights((y as f32 - (row * STEP) as f32) / STEP as f32);
+        let mut nodes = [[0.0f32; 2]; 3];
+        for (i, node) in nodes.iter_mut().enumerate() {
+            for (j, weight) in down_weights.into_iter().enumerate() {
+                let at = (row + j - 1) * self.columns + column + i - 1;
+                let offset = self.table.get(at).copied().unwrap_or([f32::NAN; 2]);
+                node[0] += weight * offset[0];
+                node[1] += weight * offset[1];
+            }
+        }
+        let t = (across - (column * STEP) as f32) * (1.0 / STEP as f32);
+        let [first, middle, last] = [(t * t - t) * 0.5, t * t * -1.0 + 1.0, (t * t + t) * 0.5];
+        let offset = [0, 1].map(|k| first * nodes[0][k] + middle * nodes[1][k] + last * nodes[2][k]);
+        (across + offset[0], down + offset[1])
     }
 }
 

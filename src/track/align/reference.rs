@@ -13,7 +13,7 @@ use crate::geometry::{Homography, solve_spd};
 use glam::{DMat3, DVec2, DVec3};
 
 /// Most pixels a marker's alignment looks at: bounds the work on large markers.
-const MOST_SAMPLES: usize = 900;
+const MOST_SAMPLES: usize = 12000;
 /// Gauss-Newton steps.
 const STEPS: usize = 4;
 /// Half-width of the kernel in deviations: the variance of (15/16)(1-z²)² is 1/7.

@@ -1,0 +1,282 @@
+//! The normal equations of one Gauss-Newton step.
+//!
+//! Samples go in blocks: first every sample's row of derivatives and its residual, weighted, then the products
+//! of all rows. f32 with eight fixed lanes a sum, so that every SIMD level gives the same bits; the lanes are
+//! added in f64.
+
+use super::gather::{MOST_SAMPLES, Samples, f32s};
+use super::pattern::{Pattern, STRIDE};
+use super::{Fit, UNKNOWNS};
+use fearless_simd::{Simd, SimdBase, SimdFrom, f32x8, i32x8, prelude::*};
+
+/// Lanes of a sum.
+const LANES: usize = 8;
+/// Lane groups of a block.
+const GROUPS: usize = 4;
+/// Rows of a block: the unknowns' derivatives and the residual.
+const ROWS: usize = UNKNOWNS + 1;
+const PRODUCTS: usize = ROWS * (ROWS + 1) / 2;
+
+/// A·step = b (A's lower triangle), the weighted sum of squared residuals and the sum of weights.
+pub struct Sums {
+    pub a: [[f64; UNKNOWNS]; UNKNOWNS],
+    pub b: [f64; UNKNOWNS],
+    pub squares: f64,
+    pub weights: f64,
+}
+
+type Block = [[[f32; LANES]; GROUPS]; ROWS];
+
+/// The equations at the fit's present place; `None` where that is degenerate.
+#[inline(always)]
+pub fn normal<S: Simd>(simd: S, samples: &Samples, pattern: &Pattern, fit: &Fit) -> Option<Sums> {
+    let inverse = fit.map.inverse();
+    if !inverse.is_finite() {
+        return None;
+    }
+    let model = Model {
+        simd,
+        inverse: f32s(&inverse),
+        forward: [fit.map.x_axis.z as f32, fit.map.y_axis.z as f32, fit.map.z_axis.z as f32],
+        levels: fit.levels.map(|v| v as f32),
+        width: libm::exp(fit.log_width) as f32,
+        reach: (1.0 / fit.reach) as f32,
+        pattern,
+    };
+    // the widest the kernel can be in cells: decides how many cells a pixel may see
+    let half = 0.5 * pattern.cells as f64;
+    let corners = [(-1.0, 1.0), (1.0, 1.0), (1.0, -1.0), (-1.0, -1.0)];
+    let mut widest = 0.0f64;
+    for (x, y) in corners {
+        let w = fit.map.x_axis.z * x + fit.map.y_axis.z * y + fit.map.z_axis.z;
+        for r in 0..2 {
+            let p = if r == 0 { x } else { y };
+            let a = (inverse.x_axis[r] - p * inverse.x_axis.z) * w;
+            let b = (inverse.y_axis[r] - p * inverse.y_axis.z) * w;
+            widest = widest.max((a * a + b * b).sqrt() * half);
+        }
+    }
+    let narrow = widest * libm::exp(fit.log_width) < 0.48;
+    let mut products = [[0.0f32; LANES]; PRODUCTS];
+    let mut weights = f32x8::splat(simd, 0.0);
+    let count = samples.count.min(MOST_SAMPLES);
+    let mut block: Block = [[[0.0; LANES]; GROUPS]; ROWS];
+    let mut from = 0;
+    while from < count {
+        for g in 0..GROUPS {
+            let at = from + g * LANES;
+            if at >= count {
+                for row in &mut block {
+                    row[g] = [0.0; LANES];
+                }
+            } else if narrow {
+                weights = weights + model.rows::<1>(samples, at, count, g, &mut block);
+            } else {
+                weights = weights + model.rows::<3>(samples, at, count, g, &mut block);
+            }
+        }
+        multiply(simd, &block, &mut products);
+        from += GROUPS * LANES;
+    }
+    let total = |lanes: &[f32; LANES]| lanes.iter().map(|v| f64::from(*v)).sum::<f64>();
+    let mut sums = Sums {
+        a: [[0.0; UNKNOWNS]; UNKNOWNS],
+        b: [0.0; UNKNOWNS],
+        squares: total(&products[PRODUCTS - 1]),
+        weights: weights.as_slice().iter().map(|v| f64::from(*v)).sum(),
+    };
+    let mut k = 0;
+    for row in 0..ROWS {
+        for column in 0..=row {
+            if row < UNKNOWNS {
+                sums.a[row][column] = total(&products[k]);
+            } else if column < UNKNOWNS {
+                sums.b[column] = total(&products[k]);
+            }
+            k += 1;
+        }
+    }
+    Some(sums)
+}
+
+/// Adds the products of all pairs of the block's rows.
+#[inline(always)]
+fn multiply<S: Simd>(simd: S, block: &Block, products: &mut [[f32; LANES]; PRODUCTS]) {
+    let mut k = 0;
+    for row in 0..ROWS {
+        let a0 = f32x8::from_slice(simd, &block[row][0]);
+        let a1 = f32x8::from_slice(simd, &block[row][1]);
+        let a2 = f32x8::from_slice(simd, &block[row][2]);
+        let a3 = f32x8::from_slice(simd, &block[row][3]);
+        for other in &block[..=row] {
+            let sum = (a0 * f32x8::from_slice(simd, &other[0]) + a1 * f32x8::from_slice(simd, &other[1]))
+                + (a2 * f32x8::from_slice(simd, &other[2]) + a3 * f32x8::from_slice(simd, &other[3]));
+            let all = f32x8::from_slice(simd, &products[k]) + sum;
+            products[k].copy_from_slice(all.as_slice());
+            k += 1;
+        }
+    }
+}
+
+/// The fit's numbers as the kernel uses them.
+struct Model<'a, S: Simd> {
+    simd: S,
+    inverse: [[f32; 3]; 3],
+    forward: [f32; 3],
+    levels: [f32; 6],
+    width: f32,
+    reach: f32,
+    pattern: &'a Pattern,
+}
+
+/// The blurred boundaries about a place along one axis: how much of what lies past each is seen, and the
+/// derivatives by the cell coordinate and by the logarithm of the kernel's width.
+struct Steps<S: Simd> {
+    value: [f32x8<S>; 3],
+    slope: [f32x8<S>; 3],
+    by_width: [f32x8<S>; 3],
+}
+
+impl<S: Simd> Model<'_, S> {
+    /// Steps at the `N` boundaries nearest to a place `d` past the nearest one.
+    #[inline(always)]
+    fn steps<const N: usize>(&self, d: f32x8<S>, width: f32x8<S>) -> Steps<S> {
+        let simd = self.simd;
+        let zero = f32x8::splat(simd, 0.0);
+        let one = f32x8::splat(simd, 1.0);
+        let over = one / width;
+        let mut out = Steps { value: [zero; 3], slope: [zero; 3], by_width: [zero; 3] };
+        for k in 0..N {
+            // boundaries -1, 0, 1 from the nearest
+            let d = if N == 1 { d } else { d - (k as f32 - 1.0) };
+            let z = (d * over).max(f32x8::splat(simd, -1.0)).min(one);
+            let zz = z * z;
+            let rest = one - zz;
+            let bell = rest * rest * 0.9375;
+            out.value[k] = z * (zz * (zz * 0.1875 - 0.625) + 0.9375) + 0.5;
+            out.slope[k] = bell * over;
+            out.by_width[k] = zero - z * bell;
+        }
+        out
+    }
+
+    /// Derivatives and residuals of the samples at `at..at + LANES`, weighted, into group `g` of the block; the
+    /// weights. Lanes past `count` weigh nothing.
+    #[inline(always)]
+    fn rows<const N: usize>(
+        &self,
+        samples: &Samples,
+        at: usize,
+        count: usize,
+        g: usize,
+        block: &mut Block,
+    ) -> f32x8<S> {
+        let simd = self.simd;
+        let x = f32x8::from_slice(simd, &samples.x[at..at + LANES]);
+        let y = f32x8::from_slice(simd, &samples.y[at..at + LANES]);
+        let gray = f32x8::from_slice(simd, &samples.gray[at..at + LANES]);
+        let one = f32x8::splat(simd, 1.0);
+        let m = &self.inverse;
+        let over = one / (x * m[0][2] + y * m[1][2] + m[2][2]);
+        let px = (x * m[0][0] + y * m[1][0] + m[2][0]) * over;
+        let py = (x * m[0][1] + y * m[1][1] + m[2][1]) * over;
+        let half = 0.5 * self.pattern.cells as f32;
+        let over_half = over * half;
+        // gradients of the cell coordinates
+        let ux = (px * -m[0][2] + m[0][0]) * over_half;
+        let uy = (px * -m[1][2] + m[1][0]) * over_half;
+        let vx = (py * m[0][2] - m[0][1]) * over_half;
+        let vy = (py * m[1][2] - m[1][1]) * over_half;
+        let (least, most) = (f32x8::splat(simd, 1e-3), f32x8::splat(simd, 1.5));
+        let wide_u = ((ux * ux + uy * uy).sqrt() * self.width).max(least).min(most);
+        let wide_v = ((vx * vx + vy * vy).sqrt() * self.width).max(least).min(most);
+        let (u, v) = (px * half + half, half - py * half);
+        let (first, last) = (f32x8::splat(simd, 0.0), f32x8::splat(simd, self.pattern.cells as f32));
+        let bu = (u + 0.5).floor().max(first).min(last);
+        let bv = (v + 0.5).floor().max(first).min(last);
+        let place: i32x8<S> = (bv * STRIDE as f32 + bu).to_int();
+        let mut codes = [0i32; LANES];
+        for (code, &at) in codes.iter_mut().zip(place.as_slice()) {
+            *code = i32::from(self.pattern.around[at as usize % (STRIDE * STRIDE)]);
+        }
+        let code = i32x8::simd_from(simd, codes);
+        let across = self.steps::<N>(u - bu, wide_u);
+        let down = self.steps::<N>(v - bv, wide_v);
+
+        // each row of cells blurred across, then the rows blurred down
+        let zero = f32x8::splat(simd, 0.0);
+        let mut value = zero;
+        let (mut by_u, mut by_v, mut by_width) = (zero, zero, zero);
+        let mut above = (zero, zero, zero);
+        for j in 0..=N {
+            let (mut line, mut slope, mut wide) = (zero, zero, zero);
+            let mut before = zero;
+            for i in 0..=N {
+                let k = if N == 1 { (j + 1) * 4 + i + 1 } else { j * 4 + i };
+                let bit = code & i32x8::splat(simd, 1 << k);
+                let ink = bit.simd_gt(0).select(one, zero);
+                if i == 0 {
+                    line = ink;
+                } else {
+                    let step = ink - before;
+                    line = line + step * across.value[i - 1];
+                    slope = slope + step * across.slope[i - 1];
+                    wide = wide + step * across.by_width[i - 1];
+                }
+                before = ink;
+            }
+            if j == 0 {
+                (value, by_u, by_width) = (line, slope, wide);
+            } else {
+                let step = line - above.0;
+                value = value + step * down.value[j - 1];
+                by_v = by_v + step * down.slope[j - 1];
+                by_u = by_u + (slope - above.1) * down.value[j - 1];
+                by_width = by_width + (wide - above.2) * down.value[j - 1] + step * down.by_width[j - 1];
+            }
+            above = (line, slope, wide);
+        }
+
+        let l = &self.levels;
+        let black = px * l[1] + py * l[2] + l[0];
+        let step = px * l[4] + py * l[5] + l[3];
+        let miss = gray - black - step * value;
+        // Geman-McClure: full weight near, none far; the root of the weight goes on the rows
+        let far = miss * self.reach;
+        let mut root = one / (far * far + 1.0);
+        if at + LANES > count {
+            let mut mask = [0.0; LANES];
+            mask[..count - at].fill(1.0);
+            root = root * f32x8::simd_from(simd, mask);
+        }
+        // moving the pattern by d changes the pixel by -step · gradient · d
+        let w = px * self.forward[0] + py * self.forward[1] + self.forward[2];
+        let pull = zero - step * root / w;
+        let gx = (ux * by_u + vx * by_v) * pull;
+        let gy = (uy * by_u + vy * by_v) * pull;
+        let inward = zero - (gx * x + gy * y);
+        let seen = value * root;
+        let rows = [
+            gx * px,
+            gx * py,
+            gx,
+            gy * px,
+            gy * py,
+            gy,
+            inward * px,
+            inward * py,
+            root,
+            root * px,
+            root * py,
+            seen,
+            seen * px,
+            seen * py,
+            step * by_width * root,
+            miss * root,
+        ];
+        for (row, out) in rows.iter().zip(block.iter_mut()) {
+            out[g].copy_from_slice(row.as_slice());
+        }
+        root * root
+    }
+}

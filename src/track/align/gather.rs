@@ -1,0 +1,216 @@
+//! Which pixels take part in the fit: those the blurred edges of the print reach, and a few of its flats.
+
+use super::pattern::{Pattern, STRIDE};
+use super::{Fit, START_SIGMA_PX, WIDTH_PER_SIGMA};
+use crate::geometry::Homography;
+use crate::track::decode::View;
+use crate::track::rectify::{self, Rectify};
+use fearless_simd::{Simd, SimdBase, SimdFrom, f32x8, i32x8, prelude::*};
+use glam::{DMat3, DVec2};
+
+/// Most pixels a fit looks at: bounds the work on large markers.
+pub const MOST_SAMPLES: usize = 6144;
+/// Pixels taken at once.
+const RUN: usize = 8;
+/// Cells of quiet zone that are looked at.
+const QUIET: f32 = 0.6;
+
+/// Pixels as the fit sees them.
+pub struct Samples {
+    /// Ideal place relative to the fit's center, in its scale.
+    pub x: [f32; MOST_SAMPLES],
+    /// The same down.
+    pub y: [f32; MOST_SAMPLES],
+    /// Gray.
+    pub gray: [f32; MOST_SAMPLES],
+    /// How many there are.
+    pub count: usize,
+    /// Whether no row was left out.
+    pub whole: bool,
+}
+
+impl Default for Samples {
+    fn default() -> Self {
+        Self {
+            x: [0.0; MOST_SAMPLES],
+            y: [0.0; MOST_SAMPLES],
+            gray: [0.0; MOST_SAMPLES],
+            count: 0,
+            whole: true,
+        }
+    }
+}
+
+/// Fills `samples` with about `most` pixels at most: rows are left out evenly where there would be more. An edge
+/// reaches `grow` kernel half-widths.
+#[inline(always)]
+#[expect(clippy::too_many_arguments, reason = "one kernel, called once")]
+pub fn gather<S: Simd>(
+    simd: S,
+    view: &View<'_>,
+    rectify: &Rectify,
+    fit: &Fit,
+    pattern: &Pattern,
+    most: usize,
+    grow: f64,
+    samples: &mut Samples,
+) {
+    samples.count = 0;
+    samples.whole = true;
+    let map = Homography(fit.map);
+    let cells = pattern.cells as f64;
+    let edge = 1.0 + 2.0 * f64::from(QUIET) / cells;
+    let outer = [(-edge, edge), (edge, edge), (edge, -edge), (-edge, -edge)]
+        .map(|(x, y)| rectify::seen(view.lens, fit.center + map.apply(DVec2::new(x, y)) * fit.scale));
+    if !outer.iter().all(|p| p.is_finite()) {
+        return;
+    }
+    let inverse = fit.map.inverse();
+    if !inverse.is_finite() {
+        return;
+    }
+    let width = libm::exp(fit.log_width) * grow;
+    let reach_px = width * fit.scale;
+    // outer edge and about half of the inner cell edges, px along times px across
+    let edges = 4.0 + (cells - 2.0) * (cells - 1.0) / cells;
+    let expected = (edges * fit.scale * 2.0 * reach_px).min(1.3 * fit.scale * fit.scale);
+    let thin = ((expected / (0.9 * most as f64)) as usize + 1).max(1);
+    samples.whole = thin == 1;
+    let size = view.luma.size();
+    // distortion bends the outline by less than this
+    let slack = if view.lens.is_distorted() { 3.0 } else { 1.0 };
+    let (low, high) = outer.iter().fold((f64::MAX, f64::MIN), |(l, h), p| (l.min(p.y), h.max(p.y)));
+    let rows = (low - slack).max(0.0) as usize..((high + slack).max(0.0) as usize + 1).min(size.height);
+    let near = Near { simd, inverse: f32s(&inverse), pattern, width: width as f32 };
+    for y in rows.step_by(thin) {
+        let Some([from, to]) = span(&outer, y as f64, slack) else { continue };
+        let from = from.max(0.0) as usize;
+        let to = (to.max(0.0) as usize + 1).min(size.width);
+        let line = view.luma.row(y);
+        let mut start = from;
+        while start < to {
+            let count = RUN.min(to - start);
+            if samples.count + RUN > MOST_SAMPLES {
+                return;
+            }
+            let (px, py) = rectify.run(simd, start, y);
+            let center = fit.center.as_vec2();
+            let scale = (1.0 / fit.scale) as f32;
+            let (x, y_at) = ((px - center.x) * scale, (py - center.y) * scale);
+            let mut taken = near.taken(x, y_at, (start + 2 * y) % 8);
+            if count < RUN {
+                taken &= (1 << count) - 1;
+            }
+            if taken != 0 {
+                let (xs, ys) = (x.as_slice(), y_at.as_slice());
+                while taken != 0 {
+                    let lane = taken.trailing_zeros() as usize % RUN;
+                    taken &= taken - 1;
+                    let at = samples.count;
+                    samples.x[at] = xs[lane];
+                    samples.y[at] = ys[lane];
+                    samples.gray[at] = f32::from(line[start + lane]);
+                    samples.count += 1;
+                }
+            }
+            start += RUN;
+        }
+    }
+}
+
+/// The matrix's columns as f32.
+pub fn f32s(m: &DMat3) -> [[f32; 3]; 3] {
+    [m.x_axis, m.y_axis, m.z_axis].map(|c| [c.x as f32, c.y as f32, c.z as f32])
+}
+
+/// Least and greatest x of the quadrilateral within `slack` of row `y`.
+fn span(quad: &[DVec2; 4], y: f64, slack: f64) -> Option<[f64; 2]> {
+    let (mut least, mut most) = (f64::MAX, f64::MIN);
+    let (top, bottom) = (y - slack, y + slack);
+    for i in 0..4 {
+        let (p, q) = (quad[i], quad[(i + 1) % 4]);
+        let (p, q) = if p.y <= q.y { (p, q) } else { (q, p) };
+        if q.y < top || p.y > bottom {
+            continue;
+        }
+        let slope = (q.x - p.x) / (q.y - p.y).max(1e-9);
+        let at = |y: f64| p.x + (y.clamp(p.y, q.y) - p.y) * slope;
+        for x in [at(top), at(bottom)] {
+            (least, most) = (least.min(x), most.max(x));
+        }
+    }
+    (least <= most).then_some([least - slack, most + slack])
+}
+
+/// The test whether an edge reaches a pixel.
+struct Near<'a, S: Simd> {
+    simd: S,
+    inverse: [[f32; 3]; 3],
+    pattern: &'a Pattern,
+    width: f32,
+}
+
+impl<S: Simd> Near<'_, S> {
+    /// One bit a lane: pixels an edge reaches, and lane `flat` where it lies on the print.
+    #[inline(always)]
+    fn taken(&self, x: f32x8<S>, y: f32x8<S>, flat: usize) -> u32 {
+        let simd = self.simd;
+        let m = &self.inverse;
+        let row = |r: usize| x * m[0][r] + y * m[1][r] + m[2][r];
+        let over = f32x8::splat(simd, 1.0) / row(2);
+        let (px, py) = (row(0) * over, row(1) * over);
+        let half = 0.5 * self.pattern.cells as f32;
+        let (u, v) = (px * half + half, half - py * half);
+        let (low, high) = (-QUIET, self.pattern.cells as f32 + QUIET);
+        let inside = u.simd_ge(low) & u.simd_le(high) & v.simd_ge(low) & v.simd_le(high);
+        if !inside.any_true() {
+            return 0;
+        }
+        // columns of the Jacobian, cells per unit
+        let by = |p: f32x8<S>, r: usize| {
+            let (a, b) = ((p * -m[0][2] + m[0][r]) * over, (p * -m[1][2] + m[1][r]) * over);
+            (a * a + b * b).sqrt() * half
+        };
+        let reach = self.width;
+        let (wide_u, wide_v) = (by(px, 0) * reach, by(py, 1) * reach);
+        let most = self.pattern.cells as f32;
+        let nearest =
+            |u: f32x8<S>| (u + 0.5).floor().max(f32x8::splat(simd, 0.0)).min(f32x8::splat(simd, most));
+        let (bu, bv) = (nearest(u), nearest(v));
+        let (du, dv) = (u - bu, v - bv);
+        let near_u = du.abs().simd_lt(wide_u);
+        let near_v = dv.abs().simd_lt(wide_v);
+        let candidates = (near_u | near_v) & inside;
+        let flats = inside.to_bitmask() as u32 & (1 << flat);
+        if !candidates.any_true() {
+            return flats;
+        }
+        // cells wider than the kernel's reach do not matter; narrower ones always see an edge
+        if wide_u.simd_ge(0.5).any_true() || wide_v.simd_ge(0.5).any_true() {
+            return candidates.to_bitmask() as u32 | flats;
+        }
+        let at: i32x8<S> = (bv * STRIDE as f32 + bu).to_int();
+        let mut codes = [0i32; RUN];
+        for (code, &at) in codes.iter_mut().zip(at.as_slice()) {
+            *code = i32::from(self.pattern.around[at as usize % (STRIDE * STRIDE)]);
+        }
+        let code = i32x8::simd_from(simd, codes);
+        // the four cells that touch the junction are bits 5, 6, 9 and 10
+        let across = code ^ (code >> 1);
+        let down = code ^ (code >> 4);
+        let zero = i32x8::splat(simd, 0);
+        let bit = |word: i32x8<S>, k: i32| (word & i32x8::splat(simd, 1 << k)).simd_gt(zero);
+        let (above, left) = (dv.simd_lt(0.0), du.simd_lt(0.0));
+        let far_v = !near_v;
+        let far_u = !near_u;
+        // near a vertical cell edge: it matters where the cells left and right of it differ
+        let upright = near_u & ((bit(across, 5) & (above | near_v)) | (bit(across, 9) & (!above | near_v)));
+        let level = near_v & ((bit(down, 5) & (left | near_u)) | (bit(down, 6) & (!left | near_u)));
+        let _ = (far_u, far_v);
+        ((upright | level) & inside).to_bitmask() as u32 | flats
+    }
+}
+
+/// A kernel's half-width to start from, px.
+#[cfg(test)]
+pub const START_PX: f64 = START_SIGMA_PX * WIDTH_PER_SIGMA;

@@ -1,0 +1,107 @@
+//! Gray picture → quadrilaterals that may be markers.
+//!
+//! Comes in: a luma plane, whole or halved; goes out: quads in the whole picture's ideal pixels, largest first.
+//! The way through: `threshold` → `segment` → `contour` → `quad`.
+
+use super::contour::{self, Crack};
+use super::quad::{self, Quad};
+use super::rectify::Rectify;
+use super::segment::Segment;
+use super::threshold::Threshold;
+use crate::pixels::simd::Level;
+use crate::pixels::{Plane, PlaneRef, Size};
+use rayon::prelude::*;
+
+/// A contour that may be a marker's.
+#[derive(Clone, Copy, Debug)]
+struct Outline {
+    from: usize,
+    to: usize,
+    area: i64,
+    quad: Option<Quad>,
+}
+
+/// The search with its buffers.
+#[derive(Debug, Default)]
+pub struct Search {
+    threshold: Threshold,
+    segment: Segment,
+    order: Vec<u32>,
+    contours: Vec<Crack>,
+    outlines: Vec<Outline>,
+    quads: Vec<Quad>,
+}
+
+/// What a search looks for.
+#[derive(Clone, Copy, Debug)]
+pub struct Limits {
+    /// Least longer side of a blob, px of the searched picture.
+    pub least_side_px: u32,
+    /// Least gray range of a neighborhood that can hold an edge.
+    pub least_contrast: u8,
+    /// Most outlines that are followed.
+    pub most: usize,
+    /// Pixels of the whole picture along one of the searched picture's: 1 or 2.
+    pub step: u32,
+}
+
+impl Search {
+    /// The quads of a picture. Allocates only when a picture is larger or fuller than any before.
+    pub fn quads(
+        &mut self,
+        luma: PlaneRef<'_, u8>,
+        rectify: &Rectify,
+        limits: Limits,
+        level: Level,
+    ) -> &[Quad] {
+        self.threshold.apply(luma, limits.least_contrast, level);
+        let mask = self.threshold.mask();
+        let blobs = self.segment.blobs(mask, limits.least_side_px);
+        self.order.clear();
+        self.order.extend(0..blobs.len() as u32);
+        let size = |i: &u32| blobs[*i as usize].extent().iter().sum::<u32>();
+        self.order.sort_unstable_by_key(|i| (std::cmp::Reverse(size(i)), *i));
+        self.order.truncate(limits.most);
+        self.contours.clear();
+        self.outlines.clear();
+        for &i in &self.order {
+            let blob = &blobs[i as usize];
+            let from = self.contours.len();
+            let Some(area) = contour::trace(mask, blob, &mut self.contours) else { continue };
+            let [w, h] = blob.extent().map(i64::from);
+            // the thinnest view of a square still fills this much of its box
+            if 6 * area < w * h {
+                self.contours.truncate(from);
+                continue;
+            }
+            self.outlines.push(Outline { from, to: self.contours.len(), area, quad: None });
+        }
+        let contours = &self.contours;
+        self.outlines.par_iter_mut().with_min_len(8).for_each(|outline| {
+            let contour = &contours[outline.from..outline.to];
+            outline.quad = quad::fit(contour, outline.area, limits.step, rectify);
+        });
+        self.quads.clear();
+        self.quads.extend(self.outlines.iter().filter_map(|o| o.quad));
+        &self.quads
+    }
+
+    /// The gray range below which the last picture's neighborhoods counted as flat.
+    pub fn limit(&self) -> u8 {
+        self.threshold.limit()
+    }
+}
+
+/// The mean of every 2x2 pixels, rounded; a last odd row or column is left out.
+pub fn halve(luma: PlaneRef<'_, u8>, half: &mut Plane<u8>) {
+    let size = Size::new(luma.size().width / 2, luma.size().height / 2);
+    half.resize(size, 0);
+    for y in 0..size.height {
+        let (above, below) = (luma.row(2 * y), luma.row(2 * y + 1));
+        let pairs = above.chunks_exact(2).zip(below.chunks_exact(2));
+        for (out, (a, b)) in half.row_mut(y).iter_mut().zip(pairs) {
+            let sum = u16::from(a[0]) + u16::from(a[1]) + u16::from(b[0]) + u16::from(b[1]);
+            *out = ((sum + 2) / 4) as u8;
+        }
+    }
+}
