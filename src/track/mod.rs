@@ -35,6 +35,9 @@ use serde::{Deserialize, Serialize};
 /// show no markers.
 pub const MOST_SIDE_PX: usize = 16_000;
 
+/// Smaller markers found in the halved picture are looked for in the whole one too: half a pixel matters there.
+const LEAST_KNOWN_PX: f64 = 48.0;
+
 /// Settings of the tracker.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -88,6 +91,7 @@ pub struct Tracker {
     rectify: Rectify,
     candidates: Vec<Candidate>,
     decoded: Vec<Decoded>,
+    known: Vec<[DVec2; 2]>,
     sightings: Vec<Sighting>,
 }
 
@@ -103,6 +107,7 @@ impl Tracker {
             rectify: Rectify::default(),
             candidates: Vec::new(),
             decoded: Vec::new(),
+            known: Vec::new(),
             sightings: Vec::new(),
         }
     }
@@ -127,24 +132,34 @@ impl Tracker {
             most: self.config.most_candidates,
             step: 1,
         };
-        self.candidates.clear();
-        let quads = self.whole.quads(luma, &self.rectify, limits, self.level);
-        self.candidates.extend(quads.iter().map(|&quad| Candidate { quad, found: None }));
-        let env = std::env::var("HALF").ok().map_or(0, |v| v.parse().unwrap_or(0));
-        if self.whole.limit() >= env {
-            search::halve(luma, &mut self.halved);
-            let limits = Limits { step: 2, ..limits };
-            let quads = self.half.quads(self.halved.view(), &self.rectify, limits, self.level);
-            self.candidates.extend(quads.iter().map(|&quad| Candidate { quad, found: None }));
-        }
-        let (rectify, align, level) = (&self.rectify, self.config.align, self.level);
+        // the halved picture first: it is a quarter of the work, finds what noise hides in the whole one, and
+        // spares that one the large markers
         let view = View { luma, lens };
-        self.candidates.par_iter_mut().with_min_len(4).for_each(|candidate| {
-            candidate.found = read(&view, &candidate.quad, wanted);
-        });
+        search::halve(luma, &mut self.halved, self.level);
         self.decoded.clear();
-        self.decoded.extend(self.candidates.iter().filter_map(|c| c.found));
+        self.known.clear();
+        for step in [2, 1] {
+            let limits = Limits { step, ..limits };
+            let (search, picture) = match step {
+                1 => (&mut self.whole, luma),
+                _ => (&mut self.half, self.halved.view()),
+            };
+            let quads = search.quads(picture, &self.rectify, limits, &self.known, self.level);
+            self.candidates.clear();
+            self.candidates.extend(quads.iter().map(|&quad| Candidate { quad, found: None }));
+            self.candidates.par_iter_mut().with_min_len(4).for_each(|candidate| {
+                candidate.found = read(&view, &candidate.quad, wanted);
+            });
+            self.decoded.extend(self.candidates.iter().filter_map(|c| c.found));
+            self.known.extend(
+                self.decoded
+                    .iter()
+                    .map(|found| bounds(&found.quad.map(|p| rectify::seen(lens, p))))
+                    .filter(|[low, high]| (*high - *low).max_element() >= LEAST_KNOWN_PX),
+            );
+        }
         keep_best(&mut self.decoded);
+        let (rectify, align, level) = (&self.rectify, self.config.align, self.level);
         self.sightings.par_extend(
             self.decoded
                 .par_iter()
@@ -174,6 +189,12 @@ fn read(view: &View<'_>, quad: &quad::Quad, wanted: &[Wanted]) -> Option<Decoded
     best
 }
 
+/// Least and greatest corner of the box around a quad.
+fn bounds(quad: &Quad) -> [DVec2; 2] {
+    let low = quad.iter().fold(DVec2::INFINITY, |a, p| a.min(*p));
+    [low, quad.iter().fold(DVec2::NEG_INFINITY, |a, p| a.max(*p))]
+}
+
 /// What was said about this marker: by its number first, then by its family.
 pub fn wish(wanted: &[Wanted], family: Family, id: u32) -> Option<&Wanted> {
     let of = |number: Option<u32>| wanted.iter().find(|w| w.family == family && w.id == number);
@@ -182,8 +203,16 @@ pub fn wish(wanted: &[Wanted], family: Family, id: u32) -> Option<&Wanted> {
 
 /// Sharpens the corners and solves the poses.
 fn sight(view: &View<'_>, found: &Decoded, wanted: &[Wanted], align: Option<(&Rectify, Level)>) -> Sighting {
-    let aligned = align.and_then(|(rectify, level)| align::align(view, found, rectify, level));
-    let quad = aligned.unwrap_or(found.quad);
+    let start = align::Start {
+        family: found.family,
+        id: found.reading.id,
+        quad: found.quad,
+        inks: [found.black, found.white],
+        blur: None,
+        most: align::MOST_SAMPLES,
+    };
+    let aligned = align.and_then(|(rectify, level)| align::align(view, &start, rectify, level));
+    let quad = aligned.map_or(found.quad, |aligned| aligned.quad);
     let corners = quad.map(|p| rectify::seen(view.lens, p));
     let side_mm = wish(wanted, found.family, found.reading.id).map_or(f64::NAN, |w| w.side_mm);
     let (pose, pose_alt) = solve::solve(&corners, side_mm, view.lens);

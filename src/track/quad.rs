@@ -12,6 +12,9 @@ use glam::DVec2;
 /// A convex quadrilateral in ideal pixels, corners clockwise as seen.
 pub type Quad = [DVec2; 4];
 
+/// Most points of a contour that are looked at.
+const MOST_POINTS: usize = 256;
+
 /// Least length of a side, px.
 pub const LEAST_SIDE_PX: f64 = 5.0;
 
@@ -21,15 +24,20 @@ pub fn fit(contour: &[Crack], area: i64, step: u32, rectify: &Rectify) -> Option
     let step = f64::from(step);
     let shift = 0.5 * (step - 1.0);
     let area = area as f64 * step * step;
-    let count = contour.len();
-    if count < 16 {
+    if contour.len() < 16 {
         return None;
     }
-    let at = |i: usize| {
-        // indices run at most once around; a division here would cost more than everything else
-        let [x, y] = contour[if i < count { i } else { i - count }];
-        rectify.ideal(DVec2::new(f64::from(x), f64::from(y)) * (0.5 * step) + shift)
-    };
+    // lines do not get better from more points than this, and what is accepted is aligned to the pixels later
+    let every = contour.len().div_ceil(MOST_POINTS);
+    let mut points = [DVec2::ZERO; MOST_POINTS];
+    let mut count = 0;
+    for (point, &[x, y]) in points.iter_mut().zip(contour.iter().step_by(every)) {
+        *point = rectify.ideal(DVec2::new(f64::from(x), f64::from(y)) * (0.5 * step) + shift);
+        count += 1;
+    }
+    let points = &points[..count];
+    // indices run at most once around; a division here would cost more than everything else
+    let at = |i: usize| points[if i < count { i } else { i - count }];
     let farthest_from = |p: DVec2| farthest(0..count, |i| (at(i) - p).length_squared());
     let (a, _) = farthest_from(at(farthest_from(at(0))?.0))?;
     let (b, span) = farthest_from(at(a))?;
@@ -66,7 +74,7 @@ pub fn fit(contour: &[Crack], area: i64, step: u32, rectify: &Rectify) -> Option
             let from = corners[side];
             let to = if side == 3 { corners[0] + count } else { corners[side + 1] };
             // noise and blur round the corners
-            let margin = ((to - from) / 8).clamp(1, 6);
+            let margin = ((to - from) / 8).clamp(1, 6usize.div_ceil(every));
             if to < from + 2 * margin + 3 {
                 return None;
             }

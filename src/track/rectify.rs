@@ -87,9 +87,10 @@ impl Rectify {
             }
         }
         let t = (across - (column * STEP) as f32) * (1.0 / STEP as f32);
-        let [first, middle, last] = [(t * t - t) * 0.5, t * t * -1.0 + 1.0, (t * t + t) * 0.5];
-        let offset = [0, 1].map(|k| first * nodes[0][k] + middle * nodes[1][k] + last * nodes[2][k]);
-        (across + offset[0], down + offset[1])
+        let (first, middle, last) = ((t * t - t) * 0.5, t * t * -1.0 + 1.0, (t * t + t) * 0.5);
+        let x = first * nodes[0][0] + middle * nodes[1][0] + last * nodes[2][0];
+        let y = first * nodes[0][1] + middle * nodes[1][1] + last * nodes[2][1];
+        (across + x, down + y)
     }
 }
 

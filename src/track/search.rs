@@ -6,10 +6,12 @@
 use super::contour::{self, Crack};
 use super::quad::{self, Quad};
 use super::rectify::Rectify;
-use super::segment::Segment;
+use super::segment::{Blob, Segment};
 use super::threshold::Threshold;
-use crate::pixels::simd::Level;
+use crate::pixels::simd::{Level, dispatch};
 use crate::pixels::{Plane, PlaneRef, Size};
+use fearless_simd::Simd;
+use glam::DVec2;
 use rayon::prelude::*;
 
 /// A contour that may be a marker's.
@@ -46,12 +48,14 @@ pub struct Limits {
 }
 
 impl Search {
-    /// The quads of a picture. Allocates only when a picture is larger or fuller than any before.
+    /// The quads of a picture, but those whose box (least and greatest corner, px of the whole picture) is
+    /// known already. Allocates only when a picture is larger or fuller than any before.
     pub fn quads(
         &mut self,
         luma: PlaneRef<'_, u8>,
         rectify: &Rectify,
         limits: Limits,
+        known: &[[DVec2; 2]],
         level: Level,
     ) -> &[Quad] {
         self.threshold.apply(luma, limits.least_contrast, level);
@@ -66,6 +70,9 @@ impl Search {
         self.outlines.clear();
         for &i in &self.order {
             let blob = &blobs[i as usize];
+            if known.iter().any(|known| covers(known, blob, limits.step)) {
+                continue;
+            }
             let from = self.contours.len();
             let Some(area) = contour::trace(mask, blob, &mut self.contours) else { continue };
             let [w, h] = blob.extent().map(i64::from);
@@ -92,16 +99,39 @@ impl Search {
     }
 }
 
+/// Whether the blob is, by its box, the border of a marker already read.
+fn covers(known: &[DVec2; 2], blob: &Blob, step: u32) -> bool {
+    let step = f64::from(step);
+    let mut apart = 0.0f64;
+    for axis in 0..2 {
+        let low_blob = (f64::from(blob.low[axis]) - 0.5) * step;
+        let high_blob = (f64::from(blob.high[axis]) + 0.5) * step;
+        apart = apart.max((known[0][axis] - low_blob).abs()).max((known[1][axis] - high_blob).abs());
+    }
+    apart < 3.0
+}
+
 /// The mean of every 2x2 pixels, rounded; a last odd row or column is left out.
-pub fn halve(luma: PlaneRef<'_, u8>, half: &mut Plane<u8>) {
+pub fn halve(luma: PlaneRef<'_, u8>, half: &mut Plane<u8>, level: Level) {
     let size = Size::new(luma.size().width / 2, luma.size().height / 2);
     half.resize(size, 0);
-    for y in 0..size.height {
-        let (above, below) = (luma.row(2 * y), luma.row(2 * y + 1));
-        let pairs = above.chunks_exact(2).zip(below.chunks_exact(2));
-        for (out, (a, b)) in half.row_mut(y).iter_mut().zip(pairs) {
-            let sum = u16::from(a[0]) + u16::from(a[1]) + u16::from(b[0]) + u16::from(b[1]);
-            *out = ((sum + 2) / 4) as u8;
+    half.view_mut().par_bands(BAND).for_each(|(top, mut band)| {
+        for y in 0..band.size().height {
+            let (above, below) = (luma.row(2 * (top + y)), luma.row(2 * (top + y) + 1));
+            let out = band.row_mut(y);
+            dispatch!(level, simd => mean(simd, above, below, out));
         }
+    });
+}
+
+/// Rows of a halved picture that a task takes.
+const BAND: usize = 64;
+
+#[inline(always)]
+fn mean<S: Simd>(_simd: S, above: &[u8], below: &[u8], out: &mut [u8]) {
+    let pairs = above.as_chunks::<2>().0.iter().zip(below.as_chunks::<2>().0);
+    for (out, (a, b)) in out.iter_mut().zip(pairs) {
+        let sum = u16::from(a[0]) + u16::from(a[1]) + u16::from(b[0]) + u16::from(b[1]);
+        *out = ((sum + 2) >> 2) as u8;
     }
 }

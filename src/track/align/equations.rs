@@ -39,24 +39,24 @@ pub fn normal<S: Simd>(simd: S, samples: &Samples, pattern: &Pattern, fit: &Fit)
         inverse: f32s(&inverse),
         forward: [fit.map.x_axis.z as f32, fit.map.y_axis.z as f32, fit.map.z_axis.z as f32],
         levels: fit.levels.map(|v| v as f32),
-        width: libm::exp(fit.log_width) as f32,
+        blur: fit.blur.map(|v| v as f32),
         reach: (1.0 / fit.reach) as f32,
         pattern,
     };
-    // the widest the kernel can be in cells: decides how many cells a pixel may see
+    // the widest the kernel is in cells decides how many cells a pixel may see
     let half = 0.5 * pattern.cells as f64;
-    let corners = [(-1.0, 1.0), (1.0, 1.0), (1.0, -1.0), (-1.0, -1.0)];
     let mut widest = 0.0f64;
-    for (x, y) in corners {
+    for (x, y) in [(-1.0, 1.0), (1.0, 1.0), (1.0, -1.0), (-1.0, -1.0)] {
         let w = fit.map.x_axis.z * x + fit.map.y_axis.z * y + fit.map.z_axis.z;
-        for r in 0..2 {
-            let p = if r == 0 { x } else { y };
-            let a = (inverse.x_axis[r] - p * inverse.x_axis.z) * w;
-            let b = (inverse.y_axis[r] - p * inverse.y_axis.z) * w;
-            widest = widest.max((a * a + b * b).sqrt() * half);
+        for (r, p) in [x, y].into_iter().enumerate() {
+            let across = (inverse.x_axis[r] - p * inverse.x_axis.z) * w;
+            let down = (inverse.y_axis[r] - p * inverse.y_axis.z) * w;
+            let [xx, xy, yy] = fit.blur;
+            let square = xx * across * across + 2.0 * xy * across * down + yy * down * down;
+            widest = widest.max(square.sqrt() * half);
         }
     }
-    let narrow = widest * libm::exp(fit.log_width) < 0.48;
+    let narrow = widest < 0.48;
     let mut products = [[0.0f32; LANES]; PRODUCTS];
     let mut weights = f32x8::splat(simd, 0.0);
     let count = samples.count.min(MOST_SAMPLES);
@@ -124,7 +124,7 @@ struct Model<'a, S: Simd> {
     inverse: [[f32; 3]; 3],
     forward: [f32; 3],
     levels: [f32; 6],
-    width: f32,
+    blur: [f32; 3],
     reach: f32,
     pattern: &'a Pattern,
 }
@@ -188,8 +188,10 @@ impl<S: Simd> Model<'_, S> {
         let vx = (py * m[0][2] - m[0][1]) * over_half;
         let vy = (py * m[1][2] - m[1][1]) * over_half;
         let (least, most) = (f32x8::splat(simd, 1e-3), f32x8::splat(simd, 1.5));
-        let wide_u = ((ux * ux + uy * uy).sqrt() * self.width).max(least).min(most);
-        let wide_v = ((vx * vx + vy * vy).sqrt() * self.width).max(least).min(most);
+        let [xx, xy, yy] = self.blur;
+        // the kernel's extent along either axis of cells
+        let wide_u = (ux * ux * xx + ux * uy * (2.0 * xy) + uy * uy * yy).sqrt().max(least).min(most);
+        let wide_v = (vx * vx * xx + vx * vy * (2.0 * xy) + vy * vy * yy).sqrt().max(least).min(most);
         let (u, v) = (px * half + half, half - py * half);
         let (first, last) = (f32x8::splat(simd, 0.0), f32x8::splat(simd, self.pattern.cells as f32));
         let bu = (u + 0.5).floor().max(first).min(last);
@@ -206,7 +208,9 @@ impl<S: Simd> Model<'_, S> {
         // each row of cells blurred across, then the rows blurred down
         let zero = f32x8::splat(simd, 0.0);
         let mut value = zero;
-        let (mut by_u, mut by_v, mut by_width) = (zero, zero, zero);
+        let (mut by_u, mut by_v) = (zero, zero);
+        // by the logarithms of the extents
+        let (mut by_wide_u, mut by_wide_v) = (zero, zero);
         let mut above = (zero, zero, zero);
         for j in 0..=N {
             let (mut line, mut slope, mut wide) = (zero, zero, zero);
@@ -226,13 +230,14 @@ impl<S: Simd> Model<'_, S> {
                 before = ink;
             }
             if j == 0 {
-                (value, by_u, by_width) = (line, slope, wide);
+                (value, by_u, by_wide_u) = (line, slope, wide);
             } else {
                 let step = line - above.0;
                 value = value + step * down.value[j - 1];
                 by_v = by_v + step * down.slope[j - 1];
                 by_u = by_u + (slope - above.1) * down.value[j - 1];
-                by_width = by_width + (wide - above.2) * down.value[j - 1] + step * down.by_width[j - 1];
+                by_wide_u = by_wide_u + (wide - above.2) * down.value[j - 1];
+                by_wide_v = by_wide_v + step * down.by_width[j - 1];
             }
             above = (line, slope, wide);
         }
@@ -249,13 +254,15 @@ impl<S: Simd> Model<'_, S> {
             mask[..count - at].fill(1.0);
             root = root * f32x8::simd_from(simd, mask);
         }
+        let contrast = step * root;
         // moving the pattern by d changes the pixel by -step · gradient · d
         let w = px * self.forward[0] + py * self.forward[1] + self.forward[2];
-        let pull = zero - step * root / w;
+        let pull = zero - contrast / w;
         let gx = (ux * by_u + vx * by_v) * pull;
         let gy = (uy * by_u + vy * by_v) * pull;
         let inward = zero - (gx * x + gy * y);
         let seen = value * root;
+        let (fu, fv) = (by_wide_u / (wide_u * wide_u), by_wide_v / (wide_v * wide_v));
         let rows = [
             gx * px,
             gx * py,
@@ -271,7 +278,9 @@ impl<S: Simd> Model<'_, S> {
             seen,
             seen * px,
             seen * py,
-            step * by_width * root,
+            (fu * ux * ux + fv * vx * vx) * contrast * 0.5,
+            (fu * ux * uy + fv * vx * vy) * contrast,
+            (fu * uy * uy + fv * vy * vy) * contrast * 0.5,
             miss * root,
         ];
         for (row, out) in rows.iter().zip(block.iter_mut()) {

@@ -1,7 +1,7 @@
 //! Which pixels take part in the fit: those the blurred edges of the print reach, and a few of its flats.
 
+use super::Fit;
 use super::pattern::{Pattern, STRIDE};
-use super::{Fit, START_SIGMA_PX, WIDTH_PER_SIGMA};
 use crate::geometry::Homography;
 use crate::track::decode::View;
 use crate::track::rectify::{self, Rectify};
@@ -69,8 +69,8 @@ pub fn gather<S: Simd>(
     if !inverse.is_finite() {
         return;
     }
-    let width = libm::exp(fit.log_width) * grow;
-    let reach_px = width * fit.scale;
+    let blur = fit.blur.map(|v| v * grow * grow);
+    let reach_px = (0.5 * (blur[0] + blur[2])).sqrt() * fit.scale;
     // outer edge and about half of the inner cell edges, px along times px across
     let edges = 4.0 + (cells - 2.0) * (cells - 1.0) / cells;
     let expected = (edges * fit.scale * 2.0 * reach_px).min(1.3 * fit.scale * fit.scale);
@@ -81,7 +81,7 @@ pub fn gather<S: Simd>(
     let slack = if view.lens.is_distorted() { 3.0 } else { 1.0 };
     let (low, high) = outer.iter().fold((f64::MAX, f64::MIN), |(l, h), p| (l.min(p.y), h.max(p.y)));
     let rows = (low - slack).max(0.0) as usize..((high + slack).max(0.0) as usize + 1).min(size.height);
-    let near = Near { simd, inverse: f32s(&inverse), pattern, width: width as f32 };
+    let near = Near { simd, inverse: f32s(&inverse), pattern, blur: blur.map(|v| v as f32) };
     for y in rows.step_by(thin) {
         let Some([from, to]) = span(&outer, y as f64, slack) else { continue };
         let from = from.max(0.0) as usize;
@@ -147,7 +147,7 @@ struct Near<'a, S: Simd> {
     simd: S,
     inverse: [[f32; 3]; 3],
     pattern: &'a Pattern,
-    width: f32,
+    blur: [f32; 3],
 }
 
 impl<S: Simd> Near<'_, S> {
@@ -156,37 +156,36 @@ impl<S: Simd> Near<'_, S> {
     fn taken(&self, x: f32x8<S>, y: f32x8<S>, flat: usize) -> u32 {
         let simd = self.simd;
         let m = &self.inverse;
-        let row = |r: usize| x * m[0][r] + y * m[1][r] + m[2][r];
-        let over = f32x8::splat(simd, 1.0) / row(2);
-        let (px, py) = (row(0) * over, row(1) * over);
-        let half = 0.5 * self.pattern.cells as f32;
+        let over = f32x8::splat(simd, 1.0) / (x * m[0][2] + y * m[1][2] + m[2][2]);
+        let px = (x * m[0][0] + y * m[1][0] + m[2][0]) * over;
+        let py = (x * m[0][1] + y * m[1][1] + m[2][1]) * over;
+        let cells = self.pattern.cells as f32;
+        let half = 0.5 * cells;
         let (u, v) = (px * half + half, half - py * half);
-        let (low, high) = (-QUIET, self.pattern.cells as f32 + QUIET);
+        let (low, high) = (f32x8::splat(simd, -QUIET), f32x8::splat(simd, cells + QUIET));
         let inside = u.simd_ge(low) & u.simd_le(high) & v.simd_ge(low) & v.simd_le(high);
         if !inside.any_true() {
             return 0;
         }
-        // columns of the Jacobian, cells per unit
-        let by = |p: f32x8<S>, r: usize| {
-            let (a, b) = ((p * -m[0][2] + m[0][r]) * over, (p * -m[1][2] + m[1][r]) * over);
-            (a * a + b * b).sqrt() * half
-        };
-        let reach = self.width;
-        let (wide_u, wide_v) = (by(px, 0) * reach, by(py, 1) * reach);
-        let most = self.pattern.cells as f32;
-        let nearest =
-            |u: f32x8<S>| (u + 0.5).floor().max(f32x8::splat(simd, 0.0)).min(f32x8::splat(simd, most));
-        let (bu, bv) = (nearest(u), nearest(v));
-        let (du, dv) = (u - bu, v - bv);
-        let near_u = du.abs().simd_lt(wide_u);
-        let near_v = dv.abs().simd_lt(wide_v);
-        let candidates = (near_u | near_v) & inside;
         let flats = inside.to_bitmask() as u32 & (1 << flat);
+        // the kernel's half-width in cells: the gradient of the cell coordinate is cells per unit
+        let (ax, ay) = ((px * -m[0][2] + m[0][0]) * over, (px * -m[1][2] + m[1][0]) * over);
+        let (bx, by) = ((py * -m[0][2] + m[0][1]) * over, (py * -m[1][2] + m[1][1]) * over);
+        let [xx, xy, yy] = self.blur;
+        let wide_u = (ax * ax * xx + ax * ay * (2.0 * xy) + ay * ay * yy).sqrt() * half;
+        let wide_v = (bx * bx * xx + bx * by * (2.0 * xy) + by * by * yy).sqrt() * half;
+        let (first, last) = (f32x8::splat(simd, 0.0), f32x8::splat(simd, cells));
+        let bu = (u + 0.5).floor().max(first).min(last);
+        let bv = (v + 0.5).floor().max(first).min(last);
+        let (du, dv) = (u - bu, v - bv);
+        let (near_u, near_v) = (du.abs().simd_lt(wide_u), dv.abs().simd_lt(wide_v));
+        let candidates = (near_u | near_v) & inside;
         if !candidates.any_true() {
             return flats;
         }
-        // cells wider than the kernel's reach do not matter; narrower ones always see an edge
-        if wide_u.simd_ge(0.5).any_true() || wide_v.simd_ge(0.5).any_true() {
+        // a kernel wider than a cell nearly always sees an edge
+        let wide = f32x8::splat(simd, 0.5);
+        if (wide_u.simd_ge(wide) | wide_v.simd_ge(wide)).any_true() {
             return candidates.to_bitmask() as u32 | flats;
         }
         let at: i32x8<S> = (bv * STRIDE as f32 + bu).to_int();
@@ -195,22 +194,17 @@ impl<S: Simd> Near<'_, S> {
             *code = i32::from(self.pattern.around[at as usize % (STRIDE * STRIDE)]);
         }
         let code = i32x8::simd_from(simd, codes);
-        // the four cells that touch the junction are bits 5, 6, 9 and 10
+        // the four cells that touch the junction are bits 5, 6 (above) and 9, 10
         let across = code ^ (code >> 1);
         let down = code ^ (code >> 4);
         let zero = i32x8::splat(simd, 0);
-        let bit = |word: i32x8<S>, k: i32| (word & i32x8::splat(simd, 1 << k)).simd_gt(zero);
-        let (above, left) = (dv.simd_lt(0.0), du.simd_lt(0.0));
-        let far_v = !near_v;
-        let far_u = !near_u;
-        // near a vertical cell edge: it matters where the cells left and right of it differ
-        let upright = near_u & ((bit(across, 5) & (above | near_v)) | (bit(across, 9) & (!above | near_v)));
-        let level = near_v & ((bit(down, 5) & (left | near_u)) | (bit(down, 6) & (!left | near_u)));
-        let _ = (far_u, far_v);
-        ((upright | level) & inside).to_bitmask() as u32 | flats
+        let (above, left) = (dv.simd_lt(first), du.simd_lt(first));
+        // where the cells on either side of the boundary differ, in this pixel's row or, near it, the next
+        let upper = (across & i32x8::splat(simd, 1 << 5)).simd_gt(zero) & (above | near_v);
+        let lower = (across & i32x8::splat(simd, 1 << 9)).simd_gt(zero) & (!above | near_v);
+        let before = (down & i32x8::splat(simd, 1 << 5)).simd_gt(zero) & (left | near_u);
+        let after = (down & i32x8::splat(simd, 1 << 6)).simd_gt(zero) & (!left | near_u);
+        let seen = (near_u & (upper | lower)) | (near_v & (before | after));
+        (seen & inside).to_bitmask() as u32 | flats
     }
 }
-
-/// A kernel's half-width to start from, px.
-#[cfg(test)]
-pub const START_PX: f64 = START_SIGMA_PX * WIDTH_PER_SIGMA;

@@ -2,7 +2,7 @@
 //!
 //! Once the code is read, every edge of the print is known, the inner ones too. The model of a pixel is
 //! black + (white - black)·V, both levels planes over the marker, V the pattern blurred by a compact kernel
-//! of free width. Homography, levels and width (8 + 6 + 1 numbers) minimize the squared gray residuals by
+//! of free extent either way. Homography, levels and extent (8 + 6 + 3 numbers) minimize the squared gray residuals by
 //! Gauss-Newton (Lucas-Kanade alignment; Baker & Matthews 2004), far residuals weighted down after Geman &
 //! McClure. First a thin set of pixels finds the place and the blur, then every pixel the blurred edges reach
 //! takes part: pixels away from every edge do not depend on the homography, only a few of them are used, for
@@ -17,13 +17,15 @@ mod pattern;
 #[cfg(test)]
 mod reference;
 
-use super::decode::{Decoded, View};
+use super::decode::{Level, View};
 use super::quad::{self, Quad};
 use super::rectify::Rectify;
 use crate::geometry::{Homography, solve_spd};
-use crate::pixels::simd::{Level, dispatch};
+use crate::marker::Family;
+use crate::pixels::simd::{self, dispatch};
 use equations::Sums;
-use gather::{MOST_SAMPLES, Samples};
+pub use gather::MOST_SAMPLES;
+use gather::Samples;
 use glam::{DMat3, DVec2, DVec3};
 use pattern::Pattern;
 
@@ -34,11 +36,11 @@ const START_SIGMA_PX: f64 = 0.7;
 /// Least and most blur, px.
 const SIGMA_PX: [f64; 2] = [0.3, 5.0];
 /// Most Gauss-Newton steps on the thin set and on the whole one.
-const STEPS: [usize; 2] = [4, 3];
+const STEPS: [usize; 2] = [8, 3];
 /// Pixels of the thin set.
 const THIN_SAMPLES: usize = 500;
-/// Homography, black and step levels, logarithm of the kernel's width.
-const UNKNOWNS: usize = 15;
+/// Homography, black and step levels, the kernel's extent.
+const UNKNOWNS: usize = 17;
 
 /// The print's place and look as the fit knows them.
 #[derive(Clone, Copy, Debug)]
@@ -49,33 +51,76 @@ struct Fit {
     scale: f64,
     /// Black level and step to white by (1, x, y) of the marker square.
     levels: [f64; 6],
-    /// Logarithm of the kernel's half-width in `scale` units.
-    log_width: f64,
+    /// The kernel's extent as a symmetric matrix xx, xy, yy: along a direction its half-width squared, in
+    /// `scale` units squared. Motion makes it longer one way than the other.
+    blur: [f64; 3],
     /// Residuals beyond this are someone's finger or a glint, gray levels.
     reach: f64,
 }
 
-/// The corners, in ideal pixels and the family's order, of the decoded pattern laid onto the picture. `None` when
-/// the fit does not hold: the steps do not converge, or lead away from the quad that was read.
-pub fn align(view: &View<'_>, found: &Decoded, rectify: &Rectify, level: Level) -> Option<Quad> {
-    let pattern = Pattern::new(found)?;
-    let center = (found.quad[0] + found.quad[1] + found.quad[2] + found.quad[3]) * 0.25;
-    let scale = quad::area(&found.quad).sqrt().max(1.0);
-    let mut map = Homography::from_square(found.quad.map(|p| (p - center) / scale))?.0;
+/// Where to start from.
+#[derive(Clone, Copy, Debug)]
+pub struct Start {
+    /// The print.
+    pub family: Family,
+    /// Its number.
+    pub id: u32,
+    /// Its corners in ideal pixels and the family's order.
+    pub quad: Quad,
+    /// Gray of black ink and paper.
+    pub inks: [Level; 2],
+    /// Covariance of the blur (xx, xy, yy, px²) where it is known from the frame before. The place is then
+    /// believed to be good to a part of the blur: no thin set of pixels is tried first.
+    pub blur: Option<[f64; 3]>,
+    /// Most pixels looked at.
+    pub most: usize,
+}
+
+/// The print laid onto the picture.
+#[derive(Clone, Copy, Debug)]
+pub struct Aligned {
+    /// Corners in ideal pixels and the family's order.
+    pub quad: Quad,
+    /// Gray of black ink and paper.
+    pub inks: [Level; 2],
+    /// Covariance of the blur: xx, xy, yy, px².
+    pub blur: [f64; 3],
+    /// Weighted root mean square of the gray residuals.
+    pub rms: f64,
+    /// Sum of the pixels' robust weights over their number, 0..1: near 1 where the print explains the picture.
+    pub share: f64,
+    /// Inverse covariance of the corners (x0 y0 x1 ... y3), 1/px²: lower triangle.
+    pub information: [[f64; 8]; 8],
+}
+
+/// Lays the known pattern onto the picture. `None` when the fit does not hold: too few pixels, equations that do
+/// not decide, or a place that leads away from the start.
+pub fn align(view: &View<'_>, start: &Start, rectify: &Rectify, level: simd::Level) -> Option<Aligned> {
+    let pattern = Pattern::new(start.family, start.id)?;
+    let center = (start.quad[0] + start.quad[1] + start.quad[2] + start.quad[3]) * 0.25;
+    let scale = quad::area(&start.quad).sqrt().max(1.0);
+    let mut map = Homography::from_square(start.quad.map(|p| (p - center) / scale))?.0;
     map *= 1.0 / map.z_axis.z;
-    let contrast = found.white.mean - found.black.mean;
-    let (black, step) = (found.black, found.white.slope - found.black.slope);
+    let [black, white] = start.inks;
+    let (contrast, step) = (white.mean - black.mean, white.slope - black.slope);
+    let unit = WIDTH_PER_SIGMA / scale;
+    let sharp = START_SIGMA_PX * START_SIGMA_PX;
     let mut fit = Fit {
         map,
         center,
         scale,
         levels: [black.mean, black.slope.x, black.slope.y, contrast, step.x, step.y],
-        log_width: libm::log(START_SIGMA_PX * WIDTH_PER_SIGMA / scale),
+        blur: start.blur.unwrap_or([sharp, 0.0, sharp]).map(|v| v * unit * unit),
         reach: 0.35 * contrast,
     };
     let mut samples = Samples::default();
-    for (whole, steps) in STEPS.into_iter().enumerate() {
-        let (most, grow) = if whole == 1 { (MOST_SAMPLES, 1.15) } else { (THIN_SAMPLES, 1.33) };
+    let most = start.most.min(MOST_SAMPLES);
+    let mut last = None;
+    for whole in [false, true] {
+        if !whole && start.blur.is_some() {
+            continue;
+        }
+        let (most, grow, steps) = if whole { (most, 1.15, STEPS[1]) } else { (THIN_SAMPLES, 1.33, STEPS[0]) };
         dispatch!(level, simd => gather::gather(simd, view, rectify, &fit, &pattern, most, grow, &mut samples));
         if samples.count < 4 * UNKNOWNS {
             return None;
@@ -83,54 +128,164 @@ pub fn align(view: &View<'_>, found: &Decoded, rectify: &Rectify, level: Level) 
         for _ in 0..steps {
             let sums = dispatch!(level, simd => equations::normal(simd, &samples, &pattern, &fit))?;
             let moved = fit.step(&sums, contrast)?;
-            if moved < 0.01 {
+            last = Some(sums);
+            if moved < 0.04 {
                 break;
             }
         }
-        if whole == 0 && samples.whole {
+        if samples.whole {
             break;
         }
     }
+    let sums = last?;
     let map = Homography(fit.map);
     let corner = |x: f64, y: f64| center + map.apply(DVec2::new(x, y)) * scale;
     let quad = [corner(-1.0, 1.0), corner(1.0, 1.0), corner(1.0, -1.0), corner(-1.0, -1.0)];
     let cell = scale / pattern.cells as f64;
-    let near = quad.iter().zip(&found.quad).all(|(p, q)| (*p - *q).length() <= (0.6 * cell).max(1.5));
-    (near && quad::is_convex(&quad)).then_some(quad)
+    let near = quad.iter().zip(&start.quad).all(|(p, q)| (*p - *q).length() <= (0.6 * cell).max(1.5));
+    if !(near && quad::is_convex(&quad)) {
+        return None;
+    }
+    let [b, bx, by, c, cx, cy] = fit.levels;
+    let ink = |mean: f64, x: f64, y: f64| Level { mean, slope: DVec2::new(x, y) };
+    let variance = (sums.squares / sums.weights).max(LEAST_VARIANCE);
+    Some(Aligned {
+        quad,
+        inks: [ink(b, bx, by), ink(b + c, bx + cx, by + cy)],
+        blur: fit.blur.map(|v| v / (unit * unit)),
+        rms: variance.sqrt(),
+        share: sums.weights / samples.count as f64,
+        information: fit.information(&sums.a, variance)?,
+    })
 }
+
+/// Rounding to whole gray levels alone: 1/12; and no lens is modeled perfectly.
+const LEAST_VARIANCE: f64 = 0.25;
 
 impl Fit {
     /// One Gauss-Newton step; returns how far the place moved, px.
     fn step(&mut self, sums: &Sums, contrast: f64) -> Option<f64> {
-        let step = solve_spd(damped(sums.a), sums.b)?;
+        let step = self.solve(sums)?;
         self.map.x_axis += DVec3::new(step[0], step[3], step[6]);
         self.map.y_axis += DVec3::new(step[1], step[4], step[7]);
         self.map.z_axis += DVec3::new(step[2], step[5], 0.0);
         for (level, step) in self.levels.iter_mut().zip(&step[8..14]) {
             *level += step;
         }
-        self.log_width += step[14].clamp(-0.4, 0.4);
-        let sigma_px = self.sigma_px();
-        self.log_width += libm::log(sigma_px.clamp(SIGMA_PX[0], SIGMA_PX[1]) / sigma_px);
+        self.widen([step[14], step[15], step[16]]);
         let residual = (sums.squares / sums.weights).sqrt();
-        self.reach = (4.0 * residual).clamp(0.05 * contrast, 0.35 * contrast);
+        self.reach = (5.0 * residual).clamp(0.2 * contrast, 0.35 * contrast);
         let moved = step[..8].iter().fold(0.0f64, |most, v| v.abs().max(most)) * self.scale;
         (self.map.is_finite() && moved.is_finite()).then_some(moved)
     }
 
-    /// The fitted blur, px.
-    fn sigma_px(&self) -> f64 {
-        libm::exp(self.log_width) * self.scale / WIDTH_PER_SIGMA
+    /// The step that the equations ask for. A trace of Levenberg's damping keeps them regular; a weak belief in a
+    /// sharp lens holds the blur where a small or noisy print hardly shows it.
+    fn solve(&self, sums: &Sums) -> Option<[f64; UNKNOWNS]> {
+        let (mut a, mut b) = (sums.a, sums.b);
+        for (i, row) in a.iter_mut().enumerate() {
+            row[i] *= 1.0 + 1e-6;
+        }
+        let unit = START_SIGMA_PX * WIDTH_PER_SIGMA / self.scale;
+        let round = unit * unit;
+        let trust = sums.squares / sums.weights / (9.0 * round * round);
+        for (k, (now, sharp)) in self.blur.into_iter().zip([round, 0.0, round]).enumerate() {
+            let i = UNKNOWNS - 3 + k;
+            a[i][i] += trust;
+            b[i] += trust * (sharp - now);
+        }
+        solve_spd(a, b)
+    }
+
+    /// The corners' inverse covariance: that of the homography with everything else eliminated (Schur's
+    /// complement), carried over to the corners.
+    fn information(&self, a: &[[f64; UNKNOWNS]; UNKNOWNS], variance: f64) -> Option<[[f64; 8]; 8]> {
+        // eliminate from the last unknown to the ninth
+        let mut a = *a;
+        for k in (8..UNKNOWNS).rev() {
+            let pivot = a[k][k];
+            if !(pivot > 0.0 && pivot.is_finite()) {
+                continue;
+            }
+            for i in 0..k {
+                let share = a[k][i] / pivot;
+                for j in 0..=i {
+                    a[i][j] -= share * a[k][j];
+                }
+            }
+        }
+        // rows: how the homography's entries move when one corner coordinate moves by 1 px
+        let map = Homography(self.map);
+        let mut corners = [[0.0; 8]; 8];
+        for (i, (x, y)) in [(-1.0, 1.0), (1.0, 1.0), (1.0, -1.0), (-1.0, -1.0)].into_iter().enumerate() {
+            let at = map.apply(DVec2::new(x, y));
+            let w = (self.map.x_axis.z * x + self.map.y_axis.z * y + self.map.z_axis.z) / self.scale;
+            corners[2 * i] = [x, y, 1.0, 0.0, 0.0, 0.0, -at.x * x, -at.x * y].map(|v| v / w);
+            corners[2 * i + 1] = [0.0, 0.0, 0.0, x, y, 1.0, -at.y * x, -at.y * y].map(|v| v / w);
+        }
+        let inverse = invert(corners)?;
+        let full = |i: usize, j: usize| if i >= j { a[i][j] } else { a[j][i] };
+        let mut half = [[0.0; 8]; 8];
+        for (i, row) in half.iter_mut().enumerate() {
+            for (j, sum) in row.iter_mut().enumerate() {
+                *sum = (0..8).map(|k| full(i, k) * inverse[k][j]).sum();
+            }
+        }
+        let mut out = [[0.0; 8]; 8];
+        for (i, row) in out.iter_mut().enumerate() {
+            for (j, sum) in row.iter_mut().enumerate().take(i + 1) {
+                *sum = (0..8).map(|k| inverse[k][i] * half[k][j]).sum::<f64>() / variance;
+            }
+        }
+        out.iter().flatten().all(|v| v.is_finite()).then_some(out)
+    }
+
+    /// Adds to the blur, by at most about half of it, and keeps it within `SIGMA_PX` every way.
+    fn widen(&mut self, step: [f64; 3]) {
+        let [xx, xy, yy] = self.blur;
+        let most = 0.3 * (xx + yy);
+        let size = step[0].abs().max(step[1].abs()).max(step[2].abs()).max(1e-300);
+        let share = (most / size).min(1.0);
+        let [xx, xy, yy] = [xx + share * step[0], xy + share * step[1], yy + share * step[2]];
+        // principal axes
+        let (mean, half) = (0.5 * (xx + yy), 0.5 * (xx - yy));
+        let root = (half * half + xy * xy).sqrt();
+        let unit = WIDTH_PER_SIGMA / self.scale;
+        let [least, most] = SIGMA_PX.map(|sigma| (sigma * unit) * (sigma * unit));
+        let (long, short) = ((mean + root).clamp(least, most), (mean - root).clamp(least, most));
+        let (mean, stretch) = (0.5 * (long + short), 0.5 * (long - short) / root.max(1e-300));
+        self.blur = [mean + stretch * half, stretch * xy, mean - stretch * half];
     }
 }
 
-/// A trace of Levenberg's damping keeps the levels' and the width's equations regular.
-fn damped(mut a: [[f64; UNKNOWNS]; UNKNOWNS]) -> [[f64; UNKNOWNS]; UNKNOWNS] {
-    for (i, row) in a.iter_mut().enumerate() {
-        row[i] *= 1.0 + 1e-6;
+/// The inverse by Gauss-Jordan with row pivots; `None` where there is none.
+#[expect(clippy::needless_range_loop, reason = "the textbook's indices")]
+fn invert(mut a: [[f64; 8]; 8]) -> Option<[[f64; 8]; 8]> {
+    let mut inverse = [[0.0; 8]; 8];
+    for i in 0..8 {
+        inverse[i][i] = 1.0;
     }
-    // the width is barely seen by sharp prints: hold it a little
-    a[UNKNOWNS - 1][UNKNOWNS - 1] *= 1.0 + 1e-2;
-    a[UNKNOWNS - 1][UNKNOWNS - 1] += 1e-9;
-    a
+    for k in 0..8 {
+        let pivot = (k..8).max_by(|&i, &j| a[i][k].abs().total_cmp(&a[j][k].abs()))?;
+        a.swap(k, pivot);
+        inverse.swap(k, pivot);
+        let scale = 1.0 / a[k][k];
+        if !scale.is_finite() {
+            return None;
+        }
+        for j in 0..8 {
+            a[k][j] *= scale;
+            inverse[k][j] *= scale;
+        }
+        for i in 0..8 {
+            if i != k {
+                let share = a[i][k];
+                for j in 0..8 {
+                    a[i][j] -= share * a[k][j];
+                    inverse[i][j] -= share * inverse[k][j];
+                }
+            }
+        }
+    }
+    Some(inverse)
 }

@@ -1,6 +1,6 @@
 //! The print as bits around its junctions, where four cells meet.
 
-use crate::track::decode::Decoded;
+use crate::marker::Family;
 
 /// Most cells along the border's outer edge.
 pub const MOST_CELLS: usize = 12;
@@ -17,10 +17,10 @@ pub struct Pattern {
 }
 
 impl Pattern {
-    /// The pattern of a decoded print.
-    pub fn new(found: &Decoded) -> Option<Self> {
-        let code = *found.family.codes().get(found.reading.id as usize)?;
-        let cells = found.family.cells();
+    /// The pattern of a family's print; `None` when there is none of this number.
+    pub fn new(family: Family, id: u32) -> Option<Self> {
+        let code = *family.codes().get(id as usize)?;
+        let cells = family.cells();
         if cells > MOST_CELLS {
             return None;
         }
@@ -30,7 +30,7 @@ impl Pattern {
                 let mut bits = 0;
                 for k in 0..16 {
                     let (x, y) = (column as isize + k % 4 - 2, row as isize + k / 4 - 2);
-                    bits |= u16::from(found.family.is_white(code, x, y)) << k;
+                    bits |= u16::from(family.is_white(code, x, y)) << k;
                 }
                 around[row * STRIDE + column] = bits;
             }
