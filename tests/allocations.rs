@@ -52,7 +52,7 @@ static ALLOCATOR: Counting = Counting;
 fn teapot() -> Scene {
     let text = "file = \"teapot\"\nmarker = { id = 7 }\n";
     let model: ModelConfig = toml::from_str(text).expect("a valid model table");
-    assert!(matches!(model.marker, AnchorConfig { family: Family::Tag36h11, id: Some(7), .. }));
+    assert!(matches!(model.marker, AnchorConfig { family: Some(Family::Tag36h11), id: Some(7), .. }));
     Scene::build(&[model], &LightConfig::default(), std::path::Path::new(".")).expect("the built-in teapot")
 }
 

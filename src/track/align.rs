@@ -10,6 +10,7 @@ use super::decode::{Decoded, View};
 use super::quad::{self, Quad};
 use super::rectify;
 use crate::geometry::{Homography, solve_spd};
+use crate::marker::Ink;
 use glam::{DMat3, DVec2, DVec3};
 
 /// Most pixels a marker's alignment looks at: bounds the work on large markers.
@@ -20,8 +21,8 @@ const STEPS: usize = 4;
 const WIDTH_PER_SIGMA: f64 = 2.645_751_311_064_590_6;
 /// Blur to start from, px: a sharp lens and the pixel's own extent.
 const START_SIGMA_PX: f64 = 0.7;
-/// Cells along the pattern with one of quiet zone on either side.
-const MOST_CELLS: usize = 10;
+/// Squares along the pattern with one of quiet zone on either side.
+const MOST_CELLS: usize = 14;
 const UNKNOWNS: usize = 15;
 
 #[derive(Clone, Copy, Default)]
@@ -35,6 +36,8 @@ struct Sample {
 struct Pattern {
     ink: [[f64; MOST_CELLS]; MOST_CELLS],
     cells: usize,
+    /// From which to before which square along both sides the print is a picture that is not known.
+    picture: Option<(f64, f64)>,
 }
 
 /// V and its derivatives by cell coordinates and by the logarithm of the kernel's width.
@@ -55,16 +58,29 @@ struct Span {
 
 impl Pattern {
     fn new(found: &Decoded) -> Option<Self> {
-        let code = *found.family.codes().get(found.reading.id as usize)?;
+        let code = found.family.code(found.reading.id)?;
         let cells = found.family.cells();
-        let mut ink = [[1.0; MOST_CELLS]; MOST_CELLS];
-        for (row, line) in ink.iter_mut().enumerate() {
-            for (column, ink) in line.iter_mut().enumerate() {
-                let white = found.family.is_white(code, column as isize - 1, row as isize - 1);
-                *ink = f64::from(u8::from(white));
+        let ink = |column: usize, row: usize| found.family.ink(code, column as isize - 1, row as isize - 1);
+        let mut pattern = Self { ink: [[1.0; MOST_CELLS]; MOST_CELLS], cells, picture: None };
+        for (row, line) in pattern.ink.iter_mut().enumerate() {
+            for (column, value) in line.iter_mut().enumerate() {
+                *value = f64::from(u8::from(ink(column, row) == Ink::White));
             }
         }
-        Some(Self { ink, cells })
+        let middle = cells / 2 + 1;
+        if let Some(first) = (0..middle).find(|&column| ink(column, middle) == Ink::Picture) {
+            let border = first as f64 - 1.0;
+            pattern.picture = Some((border, cells as f64 - border));
+        }
+        Some(pattern)
+    }
+
+    /// Whether a kernel of half-width `width` at `p` reaches into the picture that is not known.
+    fn hidden(&self, p: DVec2, width: DVec2) -> bool {
+        self.picture.is_some_and(|(from, to)| {
+            let touches = |at: f64, width: f64| at + width > from && at - width < to;
+            touches(p.x, width.x) && touches(p.y, width.y)
+        })
     }
 
     /// The kernel's weights around cell coordinate `u` (0 at the border's outer edge), half-width `width`.
@@ -140,7 +156,7 @@ pub fn align(view: &View<'_>, found: &Decoded) -> Option<Quad> {
     let (black, step) = (found.black, found.white.slope - found.black.slope);
     let mut levels = [black.mean, black.slope.x, black.slope.y, contrast, step.x, step.y];
     // residuals beyond this are someone's finger or a glint
-    let mut reach = 0.35 * contrast;
+    let mut reach = 0.35 * contrast.abs();
     for turn in 0..STEPS {
         let (a, b, squares, weights) = normal(samples, &pattern, map, libm::exp(log_width), &levels, reach)?;
         let residual = (squares / weights).sqrt();
@@ -154,7 +170,7 @@ pub fn align(view: &View<'_>, found: &Decoded) -> Option<Quad> {
         log_width += step[14].clamp(-0.4, 0.4);
         let sigma_px = libm::exp(log_width) * scale / WIDTH_PER_SIGMA;
         log_width += libm::log(sigma_px.clamp(0.3, 5.0) / sigma_px);
-        reach = (4.0 * residual).clamp(0.05 * contrast, 0.35 * contrast);
+        reach = (4.0 * residual).clamp(0.05 * contrast.abs(), 0.35 * contrast.abs());
         let moved = (step[..8].iter().fold(0.0f64, |most, v| v.abs().max(most))) * scale;
         if turn > 0 && moved < 8e-3 {
             break;
@@ -243,6 +259,9 @@ fn gather(
             }
             let width = DVec2::new(place.across.length(), place.down.length()) * reach;
             let there = pattern.blurred(place.cell, width.clamp(DVec2::splat(1e-3), DVec2::splat(1.5)));
+            if pattern.hidden(place.cell, width) {
+                continue;
+            }
             let flat = there.slope == DVec2::ZERO;
             if flat && (x + 2 * y) % 7 != 0 {
                 continue;

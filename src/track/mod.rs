@@ -14,13 +14,14 @@ mod contour;
 mod decode;
 mod quad;
 mod rectify;
+mod ring;
 mod segment;
 pub mod solve;
 mod threshold;
 
 use crate::frame::Sighting;
 use crate::geometry::Lens;
-use crate::marker::Family;
+use crate::marker::{Family, Patterns, Polarity};
 use crate::pixels::{PlaneRef, simd::Level};
 use contour::Crack;
 use decode::{Decoded, View};
@@ -84,6 +85,7 @@ struct Candidate {
 pub struct Tracker {
     config: Config,
     level: Level,
+    patterns: Patterns,
     threshold: Threshold,
     segment: Segment,
     rectify: Rectify,
@@ -99,6 +101,7 @@ impl Tracker {
         Self {
             config,
             level,
+            patterns: Patterns::default(),
             threshold: Threshold::default(),
             segment: Segment::default(),
             rectify: Rectify::default(),
@@ -107,6 +110,12 @@ impl Tracker {
             candidates: Vec::new(),
             sightings: Vec::new(),
         }
+    }
+
+    /// The same tracker, knowing the picture markers that [`Family::Pattern`] counts.
+    pub fn knowing(mut self, patterns: Patterns) -> Self {
+        self.patterns = patterns;
+        self
     }
 
     /// The wanted markers in view, ordered by family and id.
@@ -126,11 +135,12 @@ impl Tracker {
         self.threshold.apply(luma, self.config.least_contrast.clamp(1, 60), self.level);
         self.outline();
         let (contours, rectify, align) = (&self.contours, &self.rectify, self.config.align);
+        let patterns = &self.patterns;
         let view = View { luma, lens };
         self.candidates.par_iter_mut().with_min_len(4).for_each(|candidate| {
             let contour = &contours[candidate.from..candidate.to];
             candidate.found = quad::fit(contour, candidate.area, rectify)
-                .and_then(|quad| read(&view, &quad, wanted))
+                .and_then(|quad| read(&view, &quad, wanted, patterns))
                 .map(|decoded| sight(&view, &decoded, wanted, align));
         });
         self.sightings.extend(self.candidates.iter().filter_map(|c| c.found));
@@ -164,14 +174,16 @@ impl Tracker {
     }
 }
 
-/// Reads the quad as one of the wanted families, the clearest reading if several fit.
-fn read(view: &View<'_>, quad: &quad::Quad, wanted: &[Wanted]) -> Option<Decoded> {
+/// Reads the quad as one of the wanted families, the clearest reading if several fit; as a picture only where
+/// no code is read.
+fn read(view: &View<'_>, quad: &quad::Quad, wanted: &[Wanted], patterns: &Patterns) -> Option<Decoded> {
+    let polarity = Polarity::BlackOnWhite;
     let mut best: Option<Decoded> = None;
     for family in Family::ALL {
         if !wanted.iter().any(|w| w.family == family) {
             continue;
         }
-        let found = decode::decode(view, quad, family)
+        let found = decode::decode(view, quad, family, polarity)
             .filter(|found| wish(wanted, family, found.reading.id).is_some());
         if let Some(found) = found
             && best.is_none_or(|best| {
@@ -180,6 +192,10 @@ fn read(view: &View<'_>, quad: &quad::Quad, wanted: &[Wanted]) -> Option<Decoded
         {
             best = Some(found);
         }
+    }
+    if best.is_none() && wanted.iter().any(|w| w.family == Family::Pattern) {
+        best = decode::decode_picture(view, quad, patterns, polarity)
+            .filter(|found| wish(wanted, Family::Pattern, found.reading.id).is_some());
     }
     best
 }
