@@ -202,14 +202,14 @@ impl Family {
         self.facts().corrects
     }
 
-    /// How probable it is that random bits are read as a marker of this family: orientations x codes x the ways
-    /// of being wrong in up to [`Family::max_hamming`] bits, of 2^bits. 10⁻⁶ (7x7) to 10⁻⁴ for the families
-    /// that carry themselves; 2·10⁻³ (16h5) to 6·10⁻² (4x4_1000) and 5·10⁻¹ (plain 3x3) for those that a
-    /// reader must ask for more evidence.
-    pub fn chance(self) -> f64 {
+    /// How probable it is that random bits are a code of this family with at most `wrong` bits wrong:
+    /// orientations x codes x the ways of being wrong, of 2^bits. With [`Family::max_hamming`], 10⁻⁷ (7x7) to
+    /// 5·10⁻⁴ for the families that prove themselves; 2·10⁻³ (16h5) to 6·10⁻² (4x4_1000) and 5·10⁻¹ (plain 3x3)
+    /// for those that a reader must ask for more evidence.
+    pub fn chance(self, wrong: u32) -> f64 {
         let bits = self.inner() * self.inner();
         let (mut ways, mut near) = (1.0, 1.0);
-        for wrong in 1..=self.max_hamming() as usize {
+        for wrong in 1..=bits.min(wrong as usize) {
             ways *= (bits + 1 - wrong) as f64 / wrong as f64;
             near += ways;
         }

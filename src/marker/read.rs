@@ -126,7 +126,11 @@ mod tests {
             assert!(codes.iter().all(|&code| family.turn(family.orientations(code)[3]) == code));
             assert_eq!(distance(family), published, "{}", family.name());
             let wrong = family.max_hamming();
-            assert!(2 * wrong < published && (wrong == 0 || family.chance() <= 5e-4), "{}", family.name());
+            assert!(
+                2 * wrong < published && (wrong == 0 || family.chance(wrong) <= 5e-4),
+                "{}",
+                family.name()
+            );
         }
     }
 
@@ -163,7 +167,7 @@ mod tests {
                 assert_eq!(reading, family.nearest(&family.orientations(view)));
                 passed += usize::from(reading.is_some());
             }
-            let expected = family.chance() * cases as f64;
+            let expected = family.chance(family.max_hamming()) * cases as f64;
             let off = (passed as f64 - expected).abs();
             assert!(off <= 5.0 * expected.sqrt() + 1.0, "{}: {passed} of {expected}", family.name());
         }
@@ -190,7 +194,7 @@ mod tests {
                 assert!(reading.is_none_or(|reading| reading.id != id), "{} {id}", family.name());
                 others += usize::from(reading.is_some());
             }
-            let sparse = family.chance() < 1e-3;
+            let sparse = family.chance(family.max_hamming()) < 1e-3;
             eprintln!("{}: {others} mirrored codes read as others", family.name());
             assert!(!sparse || others == 0, "{}: {others}", family.name());
         }

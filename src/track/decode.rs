@@ -77,20 +77,25 @@ struct Evidence {
     worst: f64,
 }
 
-/// For families whose codes random bits hardly ever hit.
-const RARE: Evidence =
-    Evidence { dark: 0.875, light: 0.75, clarity: 0.35, likeness: 0.85, worst: f64::INFINITY };
-/// For families that random bits hit more than once in a thousand (4x4, 16h5), and the original ArUco codes,
-/// whose rows of strokes are what letters and signs look like.
+/// For codes that no texture shows by chance, and that are left readable on bent paper.
+const SURE: Evidence =
+    Evidence { dark: 0.875, light: 0.75, clarity: 0.35, likeness: 0.6, worst: f64::INFINITY };
+/// For codes that random bits hit once in a hundred thousand to once in a thousand.
+const RARE: Evidence = Evidence { likeness: 0.85, ..SURE };
+/// For codes that they hit more often (4x4, 16h5), and the original ArUco codes, whose rows of strokes are what
+/// letters and signs look like.
 const OFTEN: Evidence = Evidence { dark: 1.0, light: 0.875, clarity: 0.4, likeness: 0.85, worst: 0.6 };
-/// For families that they hit more than once in twenty (4x4_1000, ARToolKit's 3x3): the print must be seen well.
+/// For codes that they hit more than once in twenty (4x4_1000, ARToolKit's 3x3): the print must be seen well.
 const MOSTLY: Evidence = Evidence { dark: 1.0, light: 1.0, clarity: 0.65, likeness: 0.92, worst: 0.5 };
 
 impl Evidence {
-    fn of(family: Family) -> &'static Self {
-        match family.chance() {
-            rare if rare < 1e-3 && family != Family::ArucoOriginal => &RARE,
-            often if often < 5e-2 => &OFTEN,
+    /// For a reading of so many wrong bits.
+    fn of(family: Family, wrong: u32) -> &'static Self {
+        match family.chance(wrong) {
+            _ if family == Family::ArucoOriginal => &OFTEN,
+            chance if chance < 1e-5 => &SURE,
+            chance if chance < 1e-3 => &RARE,
+            chance if chance < 5e-2 => &OFTEN,
             _ => &MOSTLY,
         }
     }
@@ -175,7 +180,7 @@ fn attempt(view: &View<'_>, quad: &Quad, family: Family, polarity: Polarity) -> 
     let map = Homography::from_square(*quad)?;
     let cells = code_cells(family);
     let ring = Ring::read(view, &map, cells, polarity)?;
-    let least = Evidence::of(family);
+    let least = Evidence::of(family, 0);
     if ring.dark < least.dark || ring.light < least.light {
         return None;
     }
@@ -187,7 +192,7 @@ fn attempt(view: &View<'_>, quad: &Quad, family: Family, polarity: Polarity) -> 
             continue;
         }
         if let Some(reading) = family.read(bits) {
-            let fit = code.fit(bits);
+            let (fit, least) = (code.fit(bits), Evidence::of(family, reading.hamming));
             if fit.likeness >= least.likeness && fit.worst <= least.worst {
                 return Some(Some(found(family, reading, quad, &ring, clarity, polarity)));
             }
