@@ -66,7 +66,10 @@ impl Canvas {
     ) -> Plane<u8> {
         let mut gray = self.gray.clone();
         let radius = (3.0 * sigma_blur).ceil() as isize;
-        let weight = |k: isize| libm::exp(-0.5 * (k as f64 / sigma_blur.max(1e-9)).powi(2));
+        let weight = |k: isize| {
+            let z = k as f64 / sigma_blur.max(1e-9);
+            libm::exp(-0.5 * z * z)
+        };
         let total: f64 = (-radius..=radius).map(weight).sum();
         for (across, down) in [(1, 0), (0, 1)] {
             let from = gray.clone();
@@ -239,7 +242,7 @@ fn decoys() -> Vec<(String, Plane<u8>, Vec<u32>)> {
                     fill(5, 5, 16, 16, 255);
                     for _ in 0..4 {
                         let [x, y] = [0, 1].map(|_| 5 + (rng.next_u64() % 12) as usize);
-                        let (w, h) = if rng.next_u64() % 2 == 0 { (3, 10) } else { (10, 3) };
+                        let (w, h) = if rng.next_u64() & 1 == 0 { (3, 10) } else { (10, 3) };
                         fill(x, y, w, h, 0);
                     }
                 }
@@ -274,7 +277,11 @@ fn decoys() -> Vec<(String, Plane<u8>, Vec<u32>)> {
         for (i, gray) in canvas.gray.iter_mut().enumerate() {
             let (x, y) = (i % SIZE.width / unit, i / SIZE.width / unit);
             let h = vernissage::pixels::hash_noise(x as u32, y as u32, seed, 0);
-            let stroke = if seed % 2 == 0 { h % 3 == 0 } else { y % 3 != 2 && x % 4 != 3 && h % 5 != 0 };
+            let stroke = if seed % 2 == 0 {
+                h.is_multiple_of(3)
+            } else {
+                y % 3 != 2 && x % 4 != 3 && !h.is_multiple_of(5)
+            };
             *gray = if stroke { 0.05 } else { 0.9 };
         }
         let noise = 2.0 + 6.0 * rng.f64();

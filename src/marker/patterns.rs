@@ -207,12 +207,12 @@ fn parse(text: &[u8]) -> Result<([Patch; 4], Patch), String> {
     }
     // view k must be view 0 from the next corner on: column 15 - k becomes row k
     let mut seen = gray[0];
-    for turn in 1..4 {
+    for (turn, view) in views.iter().enumerate().skip(1) {
         let from = seen;
         for (i, value) in seen.iter_mut().enumerate() {
             *value = from[(i % SIDE) * SIDE + SIDE - 1 - i / SIDE];
         }
-        let likeness = normalized(&seen, 0.0).map_or(0.0, |seen| dot(&seen, &views[turn]));
+        let likeness = normalized(&seen, 0.0).map_or(0.0, |seen| dot(&seen, view));
         if likeness < 0.8 {
             return Err(format!(
                 "view {} is not the first one turned {}° to the left (correlation {likeness:.2})",

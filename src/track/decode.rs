@@ -5,7 +5,7 @@
 //! lighter one is dropped before a bit is read. If the plain reading matches no code, the bits are read
 //! again sharpened against their neighbors (small, blurred markers), then with the quad shifted a little.
 //!
-//! A code alone is no marker: the print of the bits, blurred as the picture is, must explain the gray values all
+//! A short code alone is no marker: the print of the bits, blurred as the picture is, must explain the gray values all
 //! over the code, not only at its cells' centers. How well it must, and how whole the rings, depends on how
 //! often random bits are read as one of the family's codes ([`Family::chance`]).
 
@@ -71,15 +71,16 @@ struct Evidence {
     /// a texture anywhere.
     clarity: f64,
     /// Least correlation of the gray values with the blurred print: markers stay above 0.86 in noise, blur and
-    /// the edges of shadows, other prints and textures that have a code's bits are mostly below 0.8.
+    /// the edges of shadows, other prints and textures that have a code's bits are mostly below 0.8. 0 = not
+    /// asked for.
     likeness: f64,
     /// Most that one cell may be off, of the variance: by a shadow's edge 0.7, a cell that is half black 1.
     worst: f64,
 }
 
-/// For codes that no texture shows by chance, and that are left readable on bent paper.
+/// For codes that no texture shows by chance: read on bent paper and half in the shadow, too.
 const SURE: Evidence =
-    Evidence { dark: 0.875, light: 0.75, clarity: 0.35, likeness: 0.6, worst: f64::INFINITY };
+    Evidence { dark: 0.875, light: 0.75, clarity: 0.35, likeness: 0.0, worst: f64::INFINITY };
 /// For codes that random bits hit once in a hundred thousand to once in a thousand.
 const RARE: Evidence = Evidence { likeness: 0.85, ..SURE };
 /// For codes that they hit more often (4x4, 16h5), and the original ArUco codes, whose rows of strokes are what
@@ -192,8 +193,9 @@ fn attempt(view: &View<'_>, quad: &Quad, family: Family, polarity: Polarity) -> 
             continue;
         }
         if let Some(reading) = family.read(bits) {
-            let (fit, least) = (code.fit(bits), Evidence::of(family, reading.hamming));
-            if fit.likeness >= least.likeness && fit.worst <= least.worst {
+            let least = Evidence::of(family, reading.hamming);
+            let proven = |fit: Fit| fit.likeness >= least.likeness && fit.worst <= least.worst;
+            if least.likeness == 0.0 || proven(code.fit(bits)) {
                 return Some(Some(found(family, reading, quad, &ring, clarity, polarity)));
             }
         }
