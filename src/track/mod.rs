@@ -2,9 +2,9 @@
 //!
 //! Comes in: the luma plane, the lens, and what the scene wants; goes out: `Sighting`s ordered by family and
 //! id. The way through, one file a step: `threshold` (gray → bits) → `segment` (bits → blobs) → `contour` and
-//! `quad` (blob → corners, in the ideal pixels of `rectify`) → `decode` (quad → code) → `align` (sub-pixel
-//! corners from the whole print) → `solve` (both poses). Every step refuses early what cannot be a marker, and
-//! the work on a picture of noise is bounded.
+//! `quad` (blob → corners, in the ideal pixels of `rectify`) → `ring` and `decode` (quad → code or picture) →
+//! `align` (sub-pixel corners from the whole print) → `solve` (both poses). Every step refuses early what cannot
+//! be a marker, and the work on a picture of noise is bounded.
 //!
 //! Every picture is searched on its own; nothing is carried from one to the next. The result does not depend
 //! on the number of threads nor on the SIMD level.
@@ -131,6 +131,7 @@ impl Tracker {
         if !usable || !finite || wanted.is_empty() {
             return &self.sightings;
         }
+        wanted.iter().for_each(|w| w.family.prepare());
         self.rectify.prepare(lens, size);
         self.threshold.apply(luma, self.config.least_contrast.clamp(1, 60), self.level);
         self.outline();
