@@ -166,17 +166,26 @@ impl<S: Simd> Near<'_, S> {
         let half = 0.5 * cells;
         let (u, v) = (px * half + half, half - py * half);
         let (low, high) = (f32x8::splat(simd, -self.quiet), f32x8::splat(simd, cells + self.quiet));
-        let inside = u.simd_ge(low) & u.simd_le(high) & v.simd_ge(low) & v.simd_le(high);
+        let mut inside = u.simd_ge(low) & u.simd_le(high) & v.simd_ge(low) & v.simd_le(high);
         if !inside.any_true() {
             return 0;
         }
-        let flats = inside.to_bitmask() as u32 & (1 << flat);
         // the kernel's half-width in cells: the gradient of the cell coordinate is cells per unit
         let (ax, ay) = ((px * -m[0][2] + m[0][0]) * over, (px * -m[1][2] + m[1][0]) * over);
         let (bx, by) = ((py * -m[0][2] + m[0][1]) * over, (py * -m[1][2] + m[1][1]) * over);
         let [xx, xy, yy] = self.blur;
         let wide_u = (ax * ax * xx + ax * ay * (2.0 * xy) + ay * ay * yy).sqrt() * half;
         let wide_v = (bx * bx * xx + bx * by * (2.0 * xy) + by * by * yy).sqrt() * half;
+        if let Some([from, to]) = self.pattern.picture {
+            // what the picture's ink may reach is not known
+            let (from, to) = (f32x8::splat(simd, from), f32x8::splat(simd, to));
+            let touched = (u + wide_u).simd_gt(from)
+                & (u - wide_u).simd_lt(to)
+                & (v + wide_v).simd_gt(from)
+                & (v - wide_v).simd_lt(to);
+            inside = inside & !touched;
+        }
+        let flats = inside.to_bitmask() as u32 & (1 << flat);
         let (first, last) = (f32x8::splat(simd, 0.0), f32x8::splat(simd, cells));
         let bu = (u + 0.5).floor().max(first).min(last);
         let bv = (v + 0.5).floor().max(first).min(last);

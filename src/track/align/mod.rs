@@ -113,7 +113,7 @@ pub fn align(view: &View<'_>, start: &Start, rectify: &Rectify, level: simd::Lev
         scale,
         levels: [black.mean, black.slope.x, black.slope.y, contrast, step.x, step.y],
         blur: start.blur.unwrap_or([sharp, 0.0, sharp]).map(|v| v * unit * unit),
-        reach: 0.35 * contrast,
+        reach: 0.35 * contrast.abs(),
     };
     let mut samples = Samples::default();
     let most = start.most.min(MOST_SAMPLES);
@@ -137,7 +137,7 @@ pub fn align(view: &View<'_>, start: &Start, rectify: &Rectify, level: simd::Lev
                 Some(a) if !fresh => sums.a = a,
                 _ => a = Some(sums.a),
             }
-            let moved = fit.step(&sums, contrast)?;
+            let moved = fit.step(&sums, contrast.abs())?;
             last = Some(sums);
             if moved < ENOUGH_PX[usize::from(whole)] {
                 break;
