@@ -102,6 +102,9 @@ impl Evidence {
     }
 }
 
+/// Larger quads are not tried again a little grown or shrunk.
+const MOST_SMALL_PX: f64 = 40.0;
+
 /// Reads the quad as a marker of `family`, a family with codes.
 pub fn decode(view: &View<'_>, quad: &Quad, family: Family, polarity: Polarity) -> Option<Decoded> {
     let plain = attempt(view, quad, family, polarity)?;
@@ -110,6 +113,9 @@ pub fn decode(view: &View<'_>, quad: &Quad, family: Family, polarity: Polarity) 
     }
     // an outline half a pixel off loses the smallest markers' bits
     let side = super::quad::area(quad).max(0.0).sqrt();
+    if side > MOST_SMALL_PX {
+        return None;
+    }
     for grow in [0.5, -0.5] {
         let scaled = resized(quad, 1.0 + 2.0 * grow / side);
         if let Some(Some(found)) = attempt(view, &scaled, family, polarity) {
@@ -185,12 +191,19 @@ fn attempt(view: &View<'_>, quad: &Quad, family: Family, polarity: Polarity) -> 
     if ring.dark < least.dark || ring.light < least.light {
         return None;
     }
-    let code = Code { view, map: &map, family, ring: &ring, polarity };
+    let cell_px = super::quad::area(quad).max(0.0).sqrt() / cells as f64;
+    let code = Code { view, map: &map, family, ring: &ring, polarity, cell_px };
     let soft = code.soft();
+    let mut before = None;
     for sharpen in [0.0, 0.25] {
         let (bits, clarity) = harden(&soft, family.inner(), sharpen);
-        if clarity < least.clarity {
+        if clarity < least.clarity || before == Some(bits) {
             continue;
+        }
+        before = Some(bits);
+        if bits == 0 || bits + 1 == 1 << (family.inner() * family.inner()) {
+            // a plain square
+            return None;
         }
         if let Some(reading) = family.read(bits) {
             let least = Evidence::of(family, reading.hamming);
@@ -203,6 +216,9 @@ fn attempt(view: &View<'_>, quad: &Quad, family: Family, polarity: Polarity) -> 
     Some(None)
 }
 
+/// Cells narrower than this are read at their centers alone.
+const LEAST_CELL_PX: f64 = 3.0;
+
 /// Most bits along a side.
 const MOST_BITS: usize = 7;
 
@@ -213,6 +229,7 @@ struct Code<'a> {
     family: Family,
     ring: &'a Ring,
     polarity: Polarity,
+    cell_px: f64,
 }
 
 impl Code<'_> {
@@ -230,11 +247,12 @@ impl Code<'_> {
         let inner = self.family.inner();
         let mut soft = [[0.0; MOST_BITS]; MOST_BITS];
         // four taps about the center calm the noise of cells that have the pixels for it
-        let taps = [(0.33, 0.67), (0.67, 0.67), (0.33, 0.33), (0.67, 0.33)];
+        let four = [(0.33, 0.67), (0.67, 0.67), (0.33, 0.33), (0.67, 0.33)];
+        let taps = if self.cell_px < LEAST_CELL_PX { &[(0.5, 0.5)][..] } else { &four };
         for (row, line) in soft[..inner].iter_mut().enumerate() {
             for (column, value) in line[..inner].iter_mut().enumerate() {
-                *value =
-                    taps.iter().map(|&(x, y)| self.at(column as f64 + x, row as f64 + y)).sum::<f64>() * 0.25;
+                *value = taps.iter().map(|&(x, y)| self.at(column as f64 + x, row as f64 + y)).sum::<f64>()
+                    / taps.len() as f64;
             }
         }
         soft
