@@ -25,14 +25,20 @@ pub struct View<'a> {
     pub luma: PlaneRef<'a, u8>,
     /// Its lens.
     pub lens: &'a Lens,
+    distorted: bool,
 }
 
-impl View<'_> {
+impl<'a> View<'a> {
+    /// A picture, not empty, and its lens.
+    pub fn new(luma: PlaneRef<'a, u8>, lens: &'a Lens) -> Self {
+        Self { luma, lens, distorted: lens.is_distorted() }
+    }
+
     /// Bilinear gray value at an ideal point, 0..255, clamped to the picture's border.
     #[inline]
     pub fn gray(&self, ideal: DVec2) -> f64 {
         let size = self.luma.size();
-        let p = rectify::seen(self.lens, ideal);
+        let p = if self.distorted { rectify::seen(self.lens, ideal) } else { ideal };
         // `max` also turns NaN into 0
         let x = p.x.max(0.0).min((size.width - 1) as f64);
         let y = p.y.max(0.0).min((size.height - 1) as f64);
@@ -371,7 +377,7 @@ mod tests {
         let mut rng = SplitMix64::new(8);
         let noise = Plane::from_fn(Size::new(160, 120), |_, _| rng.next_u64() as u8);
         let lens = Lens::guess(noise.size());
-        let view = View { luma: noise.view(), lens: &lens };
+        let view = View::new(noise.view(), &lens);
         let mut read = 0;
         for case in 0..100_000usize {
             let spread = [3.0, 40.0, 200.0, 1e7][case % 4];
@@ -402,13 +408,8 @@ mod tests {
             let lens = Lens::guess(plane.size());
             for turn in 0..4 {
                 let turned = [0, 1, 2, 3].map(|i| quad[(i + turn) % 4]);
-                let found = decode(
-                    &View { luma: plane.view(), lens: &lens },
-                    &turned,
-                    family,
-                    Polarity::BlackOnWhite,
-                )
-                .expect("read");
+                let found = decode(&View::new(plane.view(), &lens), &turned, family, Polarity::BlackOnWhite)
+                    .expect("read");
                 assert_eq!((found.reading.id, found.reading.hamming), (17, 0));
                 assert_eq!(found.quad, quad);
                 assert!((found.black.mean - 40.0).abs() < 1.0 && (found.white.mean - 167.0).abs() < 1.0);
@@ -427,7 +428,7 @@ mod tests {
             let (low, high) = (zoom as f64 - 0.5, (side - zoom) as f64 - 0.5);
             let quad = [(low, low), (high, low), (high, high), (low, high)].map(|(x, y)| DVec2::new(x, y));
             let lens = Lens::guess(plane.size());
-            let view = View { luma: plane.view(), lens: &lens };
+            let view = View::new(plane.view(), &lens);
             let found = decode(&view, &quad, family, Polarity::WhiteOnBlack).expect("read");
             assert_eq!((found.reading.id, found.quad), (id, quad));
             assert!((found.black.mean - 157.0).abs() < 1.0 && (found.white.mean - 30.0).abs() < 1.0);

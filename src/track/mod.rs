@@ -144,7 +144,7 @@ impl Tracker {
         };
         // the halved picture first: it is a quarter of the work, finds what noise hides in the whole one, and
         // spares that one the large markers
-        let view = View { luma, lens };
+        let view = View::new(luma, lens);
         let patterns = &self.patterns;
         search::halve(luma, &mut self.halved, self.level);
         self.decoded.clear();
@@ -162,10 +162,11 @@ impl Tracker {
                 candidate.found = read(&view, &candidate.quad, wanted, patterns);
             });
             self.decoded.extend(self.candidates.iter().filter_map(|c| c.found));
+            // what was read, and what was seen to be no marker
             self.known.extend(
-                self.decoded
+                self.candidates
                     .iter()
-                    .map(|found| bounds(&found.quad.map(|p| rectify::seen(lens, p))))
+                    .map(|candidate| bounds(&candidate.quad.map(|p| rectify::seen(lens, p))))
                     .filter(|[low, high]| (*high - *low).max_element() >= LEAST_KNOWN_PX),
             );
         }

@@ -38,7 +38,7 @@ const STEPS: [usize; 2] = [6, 3];
 /// How many of these steps, on either set, find the matrix of the equations anew.
 const FRESH: [usize; 2] = [9, 9];
 /// A step shorter than this, px, was the last one on either set.
-const ENOUGH_PX: [f64; 2] = [0.1, 0.03];
+const ENOUGH_PX: [f64; 2] = [0.1, 0.1];
 /// Pixels of the thin set.
 const THIN_SAMPLES: usize = 500;
 /// Homography, black and step levels, the kernel's extent.
@@ -182,7 +182,8 @@ impl Fit {
         for (level, step) in self.levels.iter_mut().zip(&step[8..14]) {
             *level += step;
         }
-        self.widen([step[14], step[15], step[16]]);
+        let size = self.blur_size();
+        self.widen([step[14] * size, step[15] * size, step[16] * size]);
         let residual = (sums.squares / sums.weights).sqrt();
         self.reach = (5.0 * residual).clamp(0.2 * contrast, 0.35 * contrast);
         let moved = step[..8].iter().fold(0.0f64, |most, v| v.abs().max(most)) * self.scale;
@@ -197,12 +198,13 @@ impl Fit {
             row[i] *= 1.0 + 1e-6;
         }
         let unit = START_SIGMA_PX * WIDTH_PER_SIGMA / self.scale;
-        let round = unit * unit;
-        let trust = sums.squares / sums.weights / (9.0 * round * round);
-        for (k, (now, sharp)) in self.blur.into_iter().zip([round, 0.0, round]).enumerate() {
+        let (sharp, size) = (unit * unit, self.blur_size());
+        // the belief: off by about three times the sharp lens's blur
+        let trust = sums.squares / sums.weights * (size / (3.0 * sharp)) * (size / (3.0 * sharp));
+        for (k, (now, sharp)) in self.blur.into_iter().zip([sharp, 0.0, sharp]).enumerate() {
             let i = UNKNOWNS - 3 + k;
             a[i][i] += trust;
-            b[i] += trust * (sharp - now);
+            b[i] += trust * (sharp - now) / size;
         }
         solve_spd(a, b)
     }
@@ -248,6 +250,11 @@ impl Fit {
             }
         }
         out.iter().flatten().all(|v| v.is_finite()).then_some(out)
+    }
+
+    /// Mean square of the kernel's half-width.
+    fn blur_size(&self) -> f64 {
+        0.5 * (self.blur[0] + self.blur[2])
     }
 
     /// Adds to the blur, by at most about half of it, and keeps it within `SIGMA_PX` every way.
@@ -313,7 +320,7 @@ mod tests {
         let size = Size::new(120, 110);
         let picture = Plane::from_fn(size, |x, y| (40 + (x * 7 + y * 13) % 150) as u8);
         let lens = Lens::guess(size);
-        let view = View { luma: picture.view(), lens: &lens };
+        let view = View::new(picture.view(), &lens);
         let mut rectify = Rectify::default();
         rectify.prepare(&lens, size);
         let pattern = Pattern::new(family, id).expect("id 7");
@@ -361,7 +368,7 @@ mod tests {
                         6 => fit.map.x_axis.z += step,
                         7 => fit.map.y_axis.z += step,
                         k if k < 14 => fit.levels[k - 8] += step,
-                        k => fit.blur[k - 14] += step,
+                        k => fit.blur[k - 14] += step * fit.blur_size(),
                     }
                     sums(&fit).squares
                 };
