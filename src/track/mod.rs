@@ -12,6 +12,8 @@
 mod align;
 mod contour;
 mod decode;
+mod filter;
+mod follow;
 mod quad;
 mod rectify;
 mod search;
@@ -19,11 +21,12 @@ mod segment;
 pub mod solve;
 mod threshold;
 
-use crate::frame::Sighting;
+use crate::frame::{Sighting, State};
 use crate::geometry::Lens;
 use crate::marker::Family;
 use crate::pixels::{Plane, PlaneRef, simd::Level};
 use decode::{Decoded, View};
+use follow::Follow;
 use glam::DVec2;
 use quad::Quad;
 use rayon::prelude::*;
@@ -54,11 +57,14 @@ pub struct Config {
     /// Whether corners are aligned to the whole print (sub-pixel accuracy) or left as the outline gave them.
     /// Default true.
     pub align: bool,
+    /// How long a followed marker that is out of sight is still reported where it would be, ms (0..=2000).
+    /// Default 200.
+    pub hold_ms: u32,
 }
 
 impl Default for Config {
     fn default() -> Self {
-        Self { least_side_px: 10, least_contrast: 6, most_candidates: 1500, align: true }
+        Self { least_side_px: 10, least_contrast: 6, most_candidates: 1500, align: true, hold_ms: 200 }
     }
 }
 
@@ -93,6 +99,7 @@ pub struct Tracker {
     decoded: Vec<Decoded>,
     known: Vec<[DVec2; 2]>,
     sightings: Vec<Sighting>,
+    follow: Follow,
 }
 
 impl Tracker {
@@ -109,6 +116,7 @@ impl Tracker {
             decoded: Vec::new(),
             known: Vec::new(),
             sightings: Vec::new(),
+            follow: Follow::default(),
         }
     }
 
@@ -119,19 +127,46 @@ impl Tracker {
     /// fuller than any before.
     pub fn find(&mut self, luma: PlaneRef<'_, u8>, lens: &Lens, wanted: &[Wanted]) -> &[Sighting] {
         self.sightings.clear();
+        if !self.prepare(luma, lens, wanted) {
+            return &self.sightings;
+        }
+        self.search(luma, lens, wanted);
+        keep_best(&mut self.decoded);
+        let view = View { luma, lens };
+        let (rectify, align, level) = (&self.rectify, self.config.align, self.level);
+        self.sightings.par_extend(
+            self.decoded
+                .par_iter()
+                .map(|decoded| sight(&view, decoded, wanted, align.then_some((rectify, level)))),
+        );
+        &self.sightings
+    }
+
+    /// Whether there is anything to look at and for; the lens's table is ready then.
+    fn prepare(&mut self, luma: PlaneRef<'_, u8>, lens: &Lens, wanted: &[Wanted]) -> bool {
         let size = luma.size();
         let usable = size.width.min(size.height) >= 8 && size.width.max(size.height) <= MOST_SIDE_PX;
         let finite = lens.focal.is_finite() && lens.center.is_finite() && lens.focal.min_element() > 0.0;
         if !usable || !finite || wanted.is_empty() {
-            return &self.sightings;
+            return false;
         }
         self.rectify.prepare(lens, size);
-        let limits = Limits {
+        true
+    }
+
+    fn limits(&self) -> Limits {
+        Limits {
             least_side_px: self.config.least_side_px.max(8),
             least_contrast: self.config.least_contrast.clamp(1, 60),
             most: self.config.most_candidates,
             step: 1,
-        };
+            origin: DVec2::ZERO,
+        }
+    }
+
+    /// Reads every marker in the picture.
+    fn search(&mut self, luma: PlaneRef<'_, u8>, lens: &Lens, wanted: &[Wanted]) {
+        let limits = self.limits();
         // the halved picture first: it is a quarter of the work, finds what noise hides in the whole one, and
         // spares that one the large markers
         let view = View { luma, lens };
@@ -158,14 +193,6 @@ impl Tracker {
                     .filter(|[low, high]| (*high - *low).max_element() >= LEAST_KNOWN_PX),
             );
         }
-        keep_best(&mut self.decoded);
-        let (rectify, align, level) = (&self.rectify, self.config.align, self.level);
-        self.sightings.par_extend(
-            self.decoded
-                .par_iter()
-                .map(|decoded| sight(&view, decoded, wanted, align.then_some((rectify, level)))),
-        );
-        &self.sightings
     }
 }
 
@@ -224,6 +251,7 @@ fn sight(view: &View<'_>, found: &Decoded, wanted: &[Wanted], align: Option<(&Re
         margin: found.margin as f32,
         pose,
         pose_alt,
+        state: State::Found,
     }
 }
 

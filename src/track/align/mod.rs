@@ -27,7 +27,7 @@ use equations::Sums;
 pub use gather::MOST_SAMPLES;
 use gather::Samples;
 use glam::{DMat3, DVec2, DVec3};
-use pattern::Pattern;
+pub use pattern::Pattern;
 
 /// Half-width of the kernel in deviations: the variance of (15/16)(1-z²)² is 1/7.
 const WIDTH_PER_SIGMA: f64 = 2.645_751_311_064_590_6;

@@ -9,6 +9,7 @@ pub const STRIDE: usize = 16;
 
 /// The ink around every junction: the 4x4 cells about it, row by row, bit 0 at the top left, 1 = white. The
 /// middle 2x2 cells touch the junction. Everything outside the border is white.
+#[derive(Clone, Debug)]
 pub struct Pattern {
     /// Junction (column, row) counted from the border's top-left corner, at `row · STRIDE + column`.
     pub around: [u16; STRIDE * STRIDE],
@@ -36,5 +37,9 @@ impl Pattern {
             }
         }
         Some(Self { around, cells })
+    }
+    /// Whether a cell is white; column and row count from the border's top-left cell and stay inside it.
+    pub fn ink(&self, column: usize, row: usize) -> bool {
+        self.around[row * STRIDE + column] >> 10 & 1 == 1
     }
 }
