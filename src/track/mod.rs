@@ -236,6 +236,7 @@ fn sight(view: &View<'_>, found: &Decoded, wanted: &[Wanted], align: Option<(&Re
         quad: found.quad,
         inks: [found.black, found.white],
         blur: None,
+        doubt_px: 0.0,
         most: align::MOST_SAMPLES,
     };
     let aligned = align.and_then(|(rectify, level)| align::align(view, &start, rectify, level));

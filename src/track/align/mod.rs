@@ -37,6 +37,8 @@ const START_SIGMA_PX: f64 = 0.7;
 const SIGMA_PX: [f64; 2] = [0.3, 5.0];
 /// Most Gauss-Newton steps on the thin set and on the whole one.
 const STEPS: [usize; 2] = [8, 3];
+/// A fit whose last step was longer is not one, px.
+const SETTLED_PX: f64 = 0.25;
 /// Pixels of the thin set.
 const THIN_SAMPLES: usize = 500;
 /// Homography, black and step levels, the kernel's extent.
@@ -56,6 +58,8 @@ struct Fit {
     blur: [f64; 3],
     /// Residuals beyond this are someone's finger or a glint, gray levels.
     reach: f64,
+    /// Whether the kernel stays as it is.
+    rigid: bool,
 }
 
 /// Where to start from.
@@ -69,9 +73,11 @@ pub struct Start {
     pub quad: Quad,
     /// Gray of black ink and paper.
     pub inks: [Level; 2],
-    /// Covariance of the blur (xx, xy, yy, px²) where it is known from the frame before. The place is then
-    /// believed to be good to a part of the blur: no thin set of pixels is tried first.
+    /// Covariance of the blur (xx, xy, yy, px²) where it is known from the frame before. The fit must then settle.
     pub blur: Option<[f64; 3]>,
+    /// How far the corners may be off, px, where the blur is known: it blurs the start as well. Without doubt
+    /// no thin set of pixels is tried first.
+    pub doubt_px: f64,
     /// Most pixels looked at.
     pub most: usize,
 }
@@ -105,20 +111,30 @@ pub fn align(view: &View<'_>, start: &Start, rectify: &Rectify, level: simd::Lev
     let (contrast, step) = (white.mean - black.mean, white.slope - black.slope);
     let unit = WIDTH_PER_SIGMA / scale;
     let sharp = START_SIGMA_PX * START_SIGMA_PX;
+    let doubt = start.doubt_px * start.doubt_px;
     let mut fit = Fit {
         map,
         center,
         scale,
         levels: [black.mean, black.slope.x, black.slope.y, contrast, step.x, step.y],
-        blur: start.blur.unwrap_or([sharp, 0.0, sharp]).map(|v| v * unit * unit),
+        blur: start
+            .blur
+            .map_or([sharp, 0.0, sharp], |[xx, xy, yy]| [xx + doubt, xy, yy + doubt])
+            .map(|v| v * unit * unit),
         reach: 0.35 * contrast,
+        rigid: false,
     };
     let mut samples = Samples::default();
     let most = start.most.min(MOST_SAMPLES);
-    let mut last = None;
+    let (mut last, mut settled) = (None, false);
     for whole in [false, true] {
-        if !whole && start.blur.is_some() {
+        if !whole && start.blur.is_some() && start.doubt_px == 0.0 {
             continue;
+        }
+        // a doubtful place is found with the kernel that blurs the doubt away, then the kernel as it was
+        fit.rigid = start.blur.is_some() && !whole;
+        if let (true, Some(blur)) = (whole, start.blur) {
+            fit.blur = blur.map(|v| v * unit * unit);
         }
         let (most, grow, steps) = if whole { (most, 1.15, STEPS[1]) } else { (THIN_SAMPLES, 1.33, STEPS[0]) };
         dispatch!(level, simd => gather::gather(simd, view, rectify, &fit, &pattern, most, grow, &mut samples));
@@ -129,13 +145,17 @@ pub fn align(view: &View<'_>, start: &Start, rectify: &Rectify, level: simd::Lev
             let sums = dispatch!(level, simd => equations::normal(simd, &samples, &pattern, &fit))?;
             let moved = fit.step(&sums, contrast)?;
             last = Some(sums);
+            settled = moved < SETTLED_PX;
             if moved < 0.04 {
                 break;
             }
         }
-        if samples.whole {
+        if samples.whole && !fit.rigid {
             break;
         }
+    }
+    if start.blur.is_some() && !settled {
+        return None;
     }
     let sums = last?;
     let map = Homography(fit.map);
@@ -193,6 +213,10 @@ impl Fit {
             let i = UNKNOWNS - 3 + k;
             a[i][i] += trust;
             b[i] += trust * (sharp - now);
+            if self.rigid {
+                a[i] = [0.0; UNKNOWNS];
+                (a[i][i], b[i]) = (1.0, 0.0);
+            }
         }
         solve_spd(a, b)
     }
