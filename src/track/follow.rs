@@ -26,8 +26,9 @@ use std::time::Duration;
 const MOST: usize = 64;
 /// Pixels a followed marker is aligned with.
 const SAMPLES: usize = 1000;
-/// Predictions this good need no thin set first, px; doubt is never larger than the second.
+/// Predictions this good need no thin set first, px; least and most doubt about the others.
 const SURE_PX: f64 = 0.3;
+const LEAST_DOUBT_PX: f64 = 0.4;
 const MOST_DOUBT_PX: f64 = 2.5;
 /// Least share of robust weights, and most residual of the contrast, where the print explains the picture.
 const LEAST_SHARE: f64 = 0.75;
@@ -303,7 +304,7 @@ impl Track {
     fn advance(&mut self, scene: &Scene<'_>) {
         self.state = State::Held;
         let quad = self.expected(scene.at);
-        let doubt = if self.miss_px < SURE_PX { 0.0 } else { self.miss_px.clamp(0.0, MOST_DOUBT_PX) };
+        let doubt = if self.miss_px < SURE_PX { 0.0 } else { (0.5 * self.miss_px).clamp(LEAST_DOUBT_PX, MOST_DOUBT_PX) };
         let straight = scene.align(self.family, self.id, quad, self.inks, Some((self.blur, doubt)));
         let straight = straight.filter(|aligned| self.is_it(scene, aligned));
         let aligned = straight.or_else(|| {
@@ -312,13 +313,6 @@ impl Track {
                 .align(self.family, self.id, quad.map(|p| p + shift), self.inks, Some((self.blur, MOST_DOUBT_PX)))
                 .filter(|aligned| self.is_it(scene, aligned))
         });
-        if std::env::var("DBG").is_ok() { if let Some(aligned) = &aligned { if self.depth >= 3 {
-            let e = |q: &Quad| (0..4).map(|i| (aligned.quad[i] - q[i]).length()).fold(0.0, f64::max);
-            let d = self.depth; self.depth = 2; let lin = self.expected(scene.at); self.depth = 1; let stay = self.expected(scene.at); self.depth = d;
-            let lens = Lens { distortion: [0.0; 8], ..*scene.view.lens };
-            let f = self.filter.as_ref().map(|f| f.ahead(scene.at - self.seen[0].0)).map(|p| solve::corners_mm(1.0).map(|c| lens.project(p.apply(c)).unwrap_or_default()));
-            eprintln!("PRED quad {:.3} lin {:.3} stay {:.3} filter {:.3}", e(&quad), e(&lin), e(&stay), f.map_or(99.0, |f| e(&f)));
-        } } }
         if let Some(aligned) = aligned {
             let miss = (0..4).map(|i| (aligned.quad[i] - quad[i]).length()).fold(0.0, f64::max);
             self.miss_px = miss.max(0.7 * self.miss_px);
@@ -489,7 +483,6 @@ impl Track {
             Some(filter) => filter.update(&ours.pose, &ours.information, dt),
             None => self.filter = Some(Filter::new(ours.pose, &ours.information)),
         }
-        if std::env::var("DBG").is_ok() { let a=self.filter.as_ref().map(|f| (f.pose().angle_to(&ours.pose).to_degrees(), f.ahead(dt).angle_to(&ours.pose).to_degrees())); eprintln!("   at {:.3} best {:.2} other {:?} ours {:.2} trust {:.1} filter-ours {a:?} rms {:.2} share {:.3} miss {:.2} blur {:.2?} info {:.1}", scene_at(dt), best.cost, other.map(|o| o.cost), ours.cost, self.trust, aligned.rms, aligned.share, self.miss_px, self.blur, aligned.information[0][0]); }
         (self.error_px, self.other) = (ours.error_px, other);
     }
 
@@ -523,4 +516,3 @@ fn cell(column: f64, row: f64, cells: usize) -> DVec2 {
     let size = 2.0 / cells as f64;
     DVec2::new((column + 0.5) * size - 1.0, 1.0 - (row + 0.5) * size)
 }
-fn scene_at(v: f64) -> f64 { v }

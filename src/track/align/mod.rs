@@ -36,7 +36,7 @@ const START_SIGMA_PX: f64 = 0.7;
 /// Least and most blur, px.
 const SIGMA_PX: [f64; 2] = [0.3, 5.0];
 /// Most Gauss-Newton steps on the thin set and on the whole one.
-const STEPS: [usize; 2] = [8, 3];
+const STEPS: [usize; 2] = [8, 6];
 /// A fit whose last step was longer is not one, px.
 const SETTLED_PX: f64 = 0.25;
 /// Pixels of the thin set.
@@ -146,7 +146,7 @@ pub fn align(view: &View<'_>, start: &Start, rectify: &Rectify, level: simd::Lev
             let moved = fit.step(&sums, contrast)?;
             last = Some(sums);
             settled = moved < SETTLED_PX;
-            if moved < 0.04 {
+            if moved < if fit.rigid { 0.15 } else { 0.04 } {
                 break;
             }
         }
