@@ -12,7 +12,7 @@ use vernissage::frame::Frame;
 use vernissage::marker::Family;
 use vernissage::pipeline::Pipeline;
 use vernissage::pixels::{Size, simd};
-use vernissage::scene::{AnchorConfig, LightConfig, ModelConfig, Scene};
+use vernissage::scene::{LightConfig, ModelConfig, Scene};
 use vernissage::style::{self, StyleName};
 
 struct Counting;
@@ -52,8 +52,10 @@ static ALLOCATOR: Counting = Counting;
 fn teapot() -> Scene {
     let text = "file = \"teapot\"\nmarker = { id = 7 }\n";
     let model: ModelConfig = toml::from_str(text).expect("a valid model table");
-    assert!(matches!(model.marker, AnchorConfig { family: Family::Tag36h11, id: Some(7), .. }));
-    Scene::build(&[model], &LightConfig::default(), std::path::Path::new(".")).expect("the built-in teapot")
+    let scene = Scene::build(&[model], &LightConfig::default(), std::path::Path::new("."));
+    let scene = scene.expect("the built-in teapot");
+    assert!(scene.models[0].anchor.takes(Family::Tag36h11, 7));
+    scene
 }
 
 #[test]

@@ -48,7 +48,7 @@ fn bad_jobs_name_the_file_and_line() {
     };
     for (i, (job, word)) in [
         ("\n{not json\n".to_string(), "not a job"),
-        (line(IMAGE, "tag25h9", "1", camera), "tag36h11"),
+        (line(IMAGE, "tag25h8", "1", camera), "did you mean `tag25h9`"),
         (line(IMAGE, "tag36h11", "-2", camera), "size"),
         (line("no/such.pgm", "tag36h11", "1", camera), "no/such.pgm"),
         (line(IMAGE, "tag36h11", "1", &camera.replace("240", "640")), "640x216"),

@@ -56,7 +56,7 @@ fn scene() -> Scene {
     let teapot = builtin("teapot").expect("built in");
     let light = Light { ambient: 0.25, ..Light::default() };
     let inside = cuboid(Vec3::new(0.5, 0.4, 3.0));
-    Scene { models: vec![model(teapot, false), model(inside, true)], light }
+    Scene { models: vec![model(teapot, false), model(inside, true)], light, ..Scene::default() }
 }
 
 fn placed(models: &[usize]) -> Vec<Placed> {

@@ -59,7 +59,7 @@ fn every_known_marker_is_found() {
         let name = line["image"].as_str().expect("image");
         let gray = picture::read_gray(&folder.join(name)).expect("picture");
         let lens = Lens::guess(gray.size());
-        let family = line["family"].as_str().and_then(Family::from_name);
+        let family = line["family"].as_str().and_then(|name| Family::from_name(name).ok());
         let wanted: Vec<Wanted> =
             Family::ALL.into_iter().filter(|f| family.is_none_or(|g| g == *f)).map(all_of).collect();
         let seen = tracker.find(gray.view(), &lens, &wanted);

@@ -328,7 +328,7 @@ fn scene(meshes: Vec<Mesh>) -> Scene {
         secondary: false,
     };
     let light = Light { ambient: 0.2, ..Light::default() };
-    Scene { models: meshes.into_iter().map(model).collect(), light }
+    Scene { models: meshes.into_iter().map(model).collect(), light, ..Scene::default() }
 }
 
 /// Both meshes side by side, 300 mm away, as large as a hand.

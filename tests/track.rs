@@ -12,6 +12,10 @@ use vernissage::track::{Config, Tracker, Wanted, solve};
 
 const SIDE_MM: f64 = 80.0;
 
+/// Families that prove themselves, of every number of bits but the largest.
+const FAMILIES: [Family; 4] =
+    [Family::Tag36h11, Family::Aruco4x4_50, Family::Aruco5x5_100, Family::Aruco6x6_250];
+
 /// A marker as drawn.
 #[derive(Clone, Copy)]
 struct Print {
@@ -152,7 +156,7 @@ fn lens(distorted: bool) -> Lens {
 }
 
 fn everything() -> Vec<Wanted> {
-    Family::ALL.iter().map(|&family| Wanted { family, id: None, side_mm: SIDE_MM }).collect()
+    FAMILIES.iter().map(|&family| Wanted { family, id: None, side_mm: SIDE_MM }).collect()
 }
 
 /// Sorted quantile.
@@ -221,7 +225,7 @@ fn trial(frames: u64, look: Look, sides: (f64, f64), tilts_deg: (f64, f64)) -> O
         let mut between = |low: f64, high: f64| low + (high - low) * rng.f64();
         let prints: Vec<Print> = (0..3)
             .map(|third| {
-                let family = Family::ALL[((seed + third) % 4) as usize];
+                let family = FAMILIES[((seed + third) % 4) as usize];
                 let side = sides.0 * libm::pow(sides.1 / sides.0, between(0.0, 1.0));
                 let center =
                     DVec2::new(107.0 + 213.0 * third as f64 + between(-5.0, 5.0), between(110.0, 370.0));
@@ -339,7 +343,7 @@ fn wishes_are_heard() {
 fn results_are_the_same_everywhere() {
     let lens = lens(true);
     let prints = [(0u32, 120.0, 60.0), (5, 320.0, 110.0), (11, 520.0, 25.0)].map(|(id, x, side)| Print {
-        family: Family::ALL[id as usize % 4],
+        family: FAMILIES[id as usize % 4],
         id,
         pose: pose_at(&lens, DVec2::new(x, 200.0), side, f64::from(id), 0.6, 0.3),
     });

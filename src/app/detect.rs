@@ -155,9 +155,7 @@ fn load(path: &Path) -> anyhow::Result<Vec<Job>> {
 
 fn job(path: &Path, line: &str) -> anyhow::Result<Job> {
     let line: Line = serde_json::from_str(line).context("not a job: give image, family, size and camera")?;
-    let names = || Family::ALL.map(Family::name).join(", ");
-    let family = Family::from_name(&line.family)
-        .with_context(|| format!("unknown family `{}`: give one of {}", line.family, names()))?;
+    let family = Family::from_name(&line.family)?;
     if let Some(size) = line.size {
         ensure!(size.is_finite() && size > 0.0, "size {size}: give the printed side, greater than 0");
     }

@@ -6,7 +6,7 @@ use crate::geometry::Lens;
 use crate::marker::Family;
 use crate::pixels::{Plane, Size, picture, simd};
 use crate::render::{Camera, Placed, Renderer};
-use crate::scene::{Anchor, BUILTIN, Light, Mesh, Model, Scene, Shading, builtin};
+use crate::scene::{Anchor, BUILTIN, Mesh, Model, Scene, Shading, builtin};
 use anyhow::{Context, bail, ensure};
 use clap::ValueEnum;
 use glam::{DAffine3, DMat3, DVec2, DVec3};
@@ -106,7 +106,7 @@ pub fn run(args: Args) -> anyhow::Result<()> {
         cull_back: args.cull == Cull::Back,
         secondary: false,
     };
-    let scene = Scene { models: vec![model], light: Light::default() };
+    let scene = Scene { models: vec![model], ..Scene::default() };
     let placed = [Placed { model: 0, to_camera }];
 
     let mut renderer = Renderer::new(simd::best());

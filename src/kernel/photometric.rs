@@ -3,11 +3,10 @@
 //! h(x) = Σ f(ξ)·s(ξ, x) / Σ s(ξ, x), s = exp(-|f_UV(ξ) - f_UV(x)|² / 2σ²), Ω = 5x5 with the center, borders
 //! clamped. The sum is linear in f, so filtering Y, U, V is filtering R, G, B; nothing is converted between steps.
 //!
-//! 1. Planes hold Y and *scaled* chroma: U·g, V·g with g = 1/(σ·√(2·ln 2)), so that s = 2^-(du² + dv²).
+//! 1. Planes hold Y and *scaled* chroma: U·g, V·g with g = √(c/2)/σ, so that s = e^-((du² + dv²)/c).
 //! 2. s is symmetric: twelve weights a pixel (two in its row, five in each of the next two) serve all 24
 //!    neighbors. Weight rows live in a ring of three rows; a band recomputes the two rows above it.
-//! 3. 2^-t: a magic addition splits t into the nearest integer and g in ±½; a polynomial gives 2^-g and the
-//!    integer goes into the exponent bits. t is cut at `FARTHEST`, where the weight is nothing in f32.
+//! 3. e^-(t/c) is a cubic's 32nd power (see [`fall`]); c makes the cubic's first coefficient -1.
 //! 4. Work goes in strips of `STRIP` columns on copied rows of constant length, so that all offsets are known to
 //!    the compiler and the working set (29 KB) stays in the first cache.
 //!
@@ -28,12 +27,10 @@ const START: usize = 2;
 const LENGTH: usize = START + STRIP + 2;
 /// Columns at once: two vectors of four or one of eight.
 const LANES: usize = 8;
-/// Exponents beyond this weigh nothing: 2^-40 of a sum that is at least 1.
-const FARTHEST: f32 = 40.0;
-/// 1.5·2²³: adding it rounds to an integer, which then sits in the low bits.
-const MAGIC: f32 = 12_582_912.0;
-/// 2^-g on ±½ with relative error 2.9e-6; exactly 1 at 0.
-const POWER: [f32; 4] = [-0.693_124_2, 0.240_240_99, -0.055_906_426, 0.009_582_853];
+/// c of [`fall`]: the exponent's scale.
+pub(crate) const SCALE: f64 = 0.016_877_87;
+/// The other coefficients of [`fall`]'s cubic, fitted for the least greatest error.
+const CUBIC: [f32; 2] = [1.712_289_3, -1.851_523_8];
 
 /// Rows that belong to one picture row, one behind the other so that one address reaches them all: Y, U, V,
 /// weights towards columns +1, +2 of the same row,
@@ -65,9 +62,9 @@ impl Slot {
     }
 }
 
-/// The factor for chroma planes: 1/(σ·√(2·ln 2)).
+/// The factor for chroma planes: √(c/2)/σ.
 pub fn chroma_gain(sigma: f32) -> f32 {
-    (1.0 / (f64::from(sigma) * (2.0 * std::f64::consts::LN_2).sqrt())) as f32
+    ((SCALE / 2.0).sqrt() / f64::from(sigma)) as f32
 }
 
 /// One filter step on planes Y, U·g, V·g of one size (see [`chroma_gain`]), at least 1x1. `output` is fitted.
@@ -282,23 +279,25 @@ impl<S: Simd> Sums<S> {
     }
 }
 
-/// 2^-(du² + dv²) between two places' (u, v).
+/// [`fall`] of du² + dv² between two places' (u, v).
 #[inline(always)]
 fn weight<S: Simd, F: SimdFloat<S, Element = f32>>(simd: S, center: [F; 2], at: [F; 2]) -> F {
     let du = at[0] - center[0];
     let dv = at[1] - center[1];
-    half_to(simd, du * du + dv * dv)
+    fall(simd, du * du + dv * dv)
 }
 
-/// 2^-t of t >= 0, as the file's head says; relative error 2.9e-6, 2^-40 from t = 40 on, exactly 1 at 0.
+/// e^-(t/c) of t >= 0 with c = [`SCALE`]: exactly 1 at 0, off by at most 2.5e-6 (rounding included), 0 where that is
+/// next to nothing. The cubic is near e^-(t/32c) and falls all the way; it is cut at 0.
 #[inline(always)]
-pub(crate) fn half_to<S: Simd, F: SimdFloat<S, Element = f32>>(simd: S, t: F) -> F {
-    let t = t.min(F::splat(simd, FARTHEST));
-    let whole = F::splat(simd, MAGIC) - t;
-    let g = t + (whole - MAGIC);
-    let p = ((g * POWER[3] + POWER[2]) * g + POWER[1]) * g + POWER[0];
-    let p = p * g + 1.0;
-    F::from_bits(p.to_bits() + (whole.to_bits() << 23))
+pub(crate) fn fall<S: Simd, F: SimdFloat<S, Element = f32>>(simd: S, t: F) -> F {
+    let cubic = ((F::splat(simd, CUBIC[0]) - t) * t + CUBIC[1]) * t + 1.0;
+    let root = cubic.max(F::splat(simd, 0.0));
+    let second = root * root;
+    let fourth = second * second;
+    let eighth = fourth * fourth;
+    let sixteenth = eighth * eighth;
+    sixteenth * sixteenth
 }
 
 fn ring(y: isize) -> usize {
@@ -333,7 +332,7 @@ mod tests {
     use crate::pixels::{Rgb, Size};
 
     const SIGMA: f32 = 0.025;
-    /// One step: the polynomial's 3e-6 and f32 chroma differences of up to 20σ squared, far below a level (4e-3).
+    /// One step: the weights' 2.5e-6 and f32 chroma differences of up to 20σ squared, far below a level (4e-3).
     const BOUND: f64 = 2e-5;
 
     fn planes(case: &sweep::Case) -> [Plane<f32>; 3] {
@@ -384,6 +383,20 @@ mod tests {
     #[test]
     fn every_picture_matches_the_reference() {
         sweep::cases().iter().for_each(check);
+    }
+
+    #[test]
+    fn weights_fall_as_the_exponential_does() {
+        let simd = crate::pixels::simd::scalar();
+        let weight = |t: f64| f64::from(fall(simd, f32x4::splat(simd, t as f32)).as_slice()[0]);
+        for i in 0..=200_000 {
+            let t = SCALE * 40.0 * f64::from(i) / 200_000.0;
+            let error = (weight(t) - libm::exp(-t / SCALE)).abs();
+            assert!(error <= 2.5e-6, "{t}: {error:e}");
+        }
+        assert!(
+            weight(0.0) == 1.0 && weight(1e3) == 0.0 && weight(1e30) == 0.0 && weight(f64::INFINITY) == 0.0
+        );
     }
 
     #[test]

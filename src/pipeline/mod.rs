@@ -78,6 +78,7 @@ impl Pipeline {
                 wanted.push(Wanted { family: anchor.family, id: anchor.id, side_mm: anchor.side_mm });
             }
         }
+        let tracker = Tracker::new(track, level).knowing(scene.patterns.clone());
         Self {
             retouch: Retouch::new(&retouch::Config::default(), &scene, level),
             retouches: Retouches::default(),
@@ -88,7 +89,7 @@ impl Pipeline {
             scene,
             camera: Camera { lens, near: NEAR_MM, far: FAR_MM },
             wanted,
-            tracker: Tracker::new(track, level),
+            tracker,
             renderer: Renderer::new(level),
             stylers: Stylers::new(style, level),
             canvas: Rgb::default(),

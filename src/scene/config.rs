@@ -1,7 +1,7 @@
 //! The scene's part of the settings file, and how it becomes a `Scene`.
 
 use super::{Anchor, Light, Mesh, Model, Scene, Shading};
-use crate::marker::Family;
+use crate::marker::{Family, Patterns};
 use glam::{DAffine3, DMat3, DVec3, Vec3};
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
@@ -54,16 +54,22 @@ pub struct ModelConfig {
     pub secondary: bool,
 }
 
-/// Which printed marker.
-#[derive(Clone, Copy, Debug, Deserialize)]
+/// Which printed marker: a code of a family, or a picture of one's own.
+#[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct AnchorConfig {
-    /// Marker family.
-    #[serde(default = "tag36h11")]
-    pub family: Family,
+    /// Marker family; `tag36h11` if left out.
+    #[serde(default)]
+    pub family: Option<Family>,
     /// Its number in the family; left out, the model stands on every marker of the family.
     #[serde(default)]
     pub id: Option<u32>,
+    /// Instead of family and id: a `.patt` file of ARToolKit, relative to the settings file.
+    #[serde(default)]
+    pub pattern: Option<PathBuf>,
+    /// Correlation with the pattern's picture that is enough, 0.5 to 0.95; 0.7 if left out.
+    #[serde(default)]
+    pub least_match: Option<f64>,
     /// Printed side of the black border's outer edge, mm, > 0.
     #[serde(default = "eighty")]
     pub side_mm: f64,
@@ -124,9 +130,6 @@ fn quarter() -> f32 {
 fn eighty() -> f64 {
     80.0
 }
-fn tag36h11() -> Family {
-    Family::Tag36h11
-}
 
 /// Why a scene cannot be built; names the model's table.
 #[derive(Debug, thiserror::Error)]
@@ -143,10 +146,10 @@ pub struct SceneError {
 impl Scene {
     /// Loads the models; paths are relative to `folder`.
     pub fn build(models: &[ModelConfig], light: &LightConfig, folder: &Path) -> Result<Scene, SceneError> {
-        let mut scene = Scene { models: Vec::new(), light: light.to_light() };
+        let mut scene = Scene { light: light.to_light(), ..Scene::default() };
         for (index, config) in models.iter().enumerate() {
             let fail = |reason| SceneError { number: index + 1, file: config.file.clone(), reason };
-            let model = config.build(folder).map_err(fail)?;
+            let model = config.build(folder, &mut scene.patterns).map_err(fail)?;
             let same = |m: &&Model| (m.anchor.family, m.anchor.id) == (model.anchor.family, model.anchor.id);
             if let Some(first) = scene.models.iter().find(same).filter(|m| m.anchor != model.anchor) {
                 let (one, other) = (first.anchor.side_mm, model.anchor.side_mm);
@@ -168,18 +171,40 @@ impl LightConfig {
     }
 }
 
+impl AnchorConfig {
+    fn build(&self, folder: &Path, patterns: &mut Patterns) -> Result<Anchor, String> {
+        let side_mm = self.side_mm;
+        if let Some(pattern) = &self.pattern {
+            if self.family.is_some() || self.id.is_some() {
+                return Err("a marker has a `pattern`, or a `family` and an `id`: not both".into());
+            }
+            let least_match = self.least_match.unwrap_or(Patterns::LEAST_MATCH);
+            let id = patterns.load(&folder.join(pattern), least_match).map_err(|e| e.to_string())?;
+            return Ok(Anchor { family: Family::Pattern, id: Some(id), side_mm });
+        }
+        if self.least_match.is_some() {
+            return Err("marker.least_match is for a `pattern`: codes are read bit by bit".into());
+        }
+        let family = self.family.unwrap_or(Family::Tag36h11);
+        let (name, codes) = (family.name(), family.codes().len());
+        match self.id {
+            Some(id) if id as usize >= codes => {
+                Err(format!("marker.id = {id}: {name} has ids 0 to {}", codes - 1))
+            }
+            id => Ok(Anchor { family, id, side_mm }),
+        }
+    }
+}
+
 impl ModelConfig {
-    fn build(&self, folder: &Path) -> Result<Model, String> {
+    fn build(&self, folder: &Path, patterns: &mut Patterns) -> Result<Model, String> {
         let positive = |value: f64, name: &str| {
             let good = value.is_finite() && value > 0.0;
             good.then_some(()).ok_or(format!("{name} = {value}: give a number above 0"))
         };
         positive(self.scale, "scale")?;
         positive(self.marker.side_mm, "marker.side_mm")?;
-        let (family, codes) = (self.marker.family.name(), self.marker.family.codes().len());
-        if let Some(id) = self.marker.id.filter(|&id| id as usize >= codes) {
-            return Err(format!("marker.id = {id}: {family} has ids 0 to {}", codes - 1));
-        }
+        let anchor = self.marker.build(folder, patterns)?;
         let finite = |values: &[f64; 3]| values.iter().all(|v| v.is_finite());
         if !finite(&self.rotate_deg) || !finite(&self.translate_mm) {
             return Err("rotate_deg and translate_mm must be finite numbers".into());
@@ -196,7 +221,7 @@ impl ModelConfig {
         Ok(Model {
             name: self.file.clone(),
             mesh: mesh.into(),
-            anchor: Anchor { family: self.marker.family, id: self.marker.id, side_mm: self.marker.side_mm },
+            anchor,
             to_marker,
             shading: match self.shading {
                 ShadingConfig::Smooth => Shading::Smooth,
@@ -245,5 +270,41 @@ impl ModelConfig {
         let [x, y, z] = self.rotate_deg.map(f64::to_radians);
         let turn = DMat3::from_rotation_z(z) * DMat3::from_rotation_y(y) * DMat3::from_rotation_x(x);
         DAffine3 { matrix3: turn * self.scale, translation: DVec3::from(self.translate_mm) } * fit
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn build(marker: &str, folder: &Path) -> Result<Scene, String> {
+        let model =
+            toml::from_str(&format!("file = \"teapot\"\nmarker = {marker}")).map_err(|e| e.to_string())?;
+        Scene::build(&[model], &LightConfig::default(), folder).map_err(|e| e.to_string())
+    }
+
+    #[test]
+    fn a_marker_is_named_by_family_or_by_pattern() {
+        let folder = Path::new("tests/data/markers");
+        let anchor = |marker| build(marker, folder).expect("a scene").models[0].anchor;
+        let plain = Anchor { family: Family::Tag36h11, id: None, side_mm: 80.0 };
+        assert_eq!(anchor("{}"), plain);
+        let other = Anchor { family: Family::Aruco7x7_1000, id: Some(999), side_mm: 30.0 };
+        assert_eq!(anchor("{ family = \"aruco_7x7_1000\", id = 999, side_mm = 30 }"), other);
+        let scene = build("{ pattern = \"leaf.patt\", side_mm = 50 }", folder).expect("a scene");
+        let own = Anchor { family: Family::Pattern, id: Some(0), side_mm: 50.0 };
+        assert_eq!((scene.models[0].anchor, scene.patterns.len()), (own, 1));
+        for (marker, says) in [
+            ("{ pattern = \"leaf.patt\", id = 3 }", "not both"),
+            ("{ pattern = \"none.patt\" }", "none.patt: cannot read"),
+            ("{ pattern = \"duckietown_240x216.png\" }", "not a pattern of ARToolKit"),
+            ("{ pattern = \"leaf.patt\", least_match = 0.2 }", "least_match = 0.2: give"),
+            ("{ id = 3, least_match = 0.8 }", "for a `pattern`"),
+            ("{ family = \"aruco_original\", id = 1023 }", "aruco_original has ids 0 to 1022"),
+            ("{ family = \"tag25h8\" }", "did you mean `tag25h9`"),
+        ] {
+            let error = build(marker, folder).expect_err(marker);
+            assert!(error.contains(says), "{marker}: {error}");
+        }
     }
 }

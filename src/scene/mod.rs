@@ -15,7 +15,7 @@ pub use edges::{Edge, Edges, KeptEdges};
 pub use mesh::{Material, Mesh};
 pub use obj::{Limits, ModelError};
 
-use crate::marker::Family;
+use crate::marker::{Family, Patterns};
 use glam::{DAffine3, DVec3, Vec3};
 use std::sync::Arc;
 
@@ -26,6 +26,8 @@ pub struct Scene {
     pub models: Vec<Model>,
     /// The one light.
     pub light: Light,
+    /// The picture markers that anchors of [`Family::Pattern`] count.
+    pub patterns: Patterns,
 }
 
 /// A mesh on a marker.

@@ -1,14 +1,20 @@
-//! Quadrilateral → code, read from gray through the homography.
+//! Quadrilateral → marker, read from gray through the homography.
 //!
 //! Black and white are planes over the marker, fitted to the border's ring and to the quiet zone's, so that a
 //! lighting ramp moves the threshold along (AprilTag, Wang & Olson 2016). A quad without a dark ring in a
 //! lighter one is dropped before a bit is read. If the plain reading matches no code, the bits are read
 //! again sharpened against their neighbors (small, blurred markers), then with the quad shifted a little.
+//!
+//! A short code alone is no marker: the print of the bits, blurred as the picture is, must explain the gray values all
+//! over the code, not only at its cells' centers. How well it must, and how whole the rings, depends on how
+//! often random bits are read as one of the family's codes ([`Family::chance`]).
 
 use super::quad::Quad;
 use super::rectify;
+pub use super::ring::Level;
+use super::ring::Ring;
 use crate::geometry::{Homography, Lens};
-use crate::marker::{Family, Reading};
+use crate::marker::{Family, Patch, Patterns, Polarity, Reading};
 use crate::pixels::PlaneRef;
 use glam::DVec2;
 
@@ -39,23 +45,6 @@ impl View<'_> {
     }
 }
 
-/// A gray level that varies linearly over the marker: `mean + slope · p`, p in ±1.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct Level {
-    /// At the center.
-    pub mean: f64,
-    /// Per half side to the right and up.
-    pub slope: DVec2,
-}
-
-impl Level {
-    /// The level at a point of the marker square.
-    #[inline]
-    pub fn at(&self, p: DVec2) -> f64 {
-        self.mean + self.slope.dot(p)
-    }
-}
-
 /// A quad read as a marker.
 #[derive(Clone, Copy, Debug)]
 pub struct Decoded {
@@ -63,127 +52,292 @@ pub struct Decoded {
     pub family: Family,
     /// What its codes say.
     pub reading: Reading,
-    /// Mean distance of the bits from their threshold, gray levels.
+    /// Mean distance of the bits (or of a picture's samples) from their threshold, gray levels.
     pub margin: f64,
     /// The quad in the family's order, TL TR BR BL.
     pub quad: Quad,
-    /// Gray of the black ink.
+    /// Gray of what is black in the official picture (the lighter one of an inverted print).
     pub black: Level,
-    /// Gray of the paper.
+    /// Gray of what is white in the official picture.
     pub white: Level,
 }
 
-/// Least gray step from black to white.
-const LEAST_CONTRAST: f64 = 8.0;
-/// Least mean distance of a bit from its threshold, of half the contrast: true bits lie near 1, the bits of a
-/// texture anywhere.
-const LEAST_CLARITY: f64 = 0.35;
+/// What a reading must show besides a code.
+struct Evidence {
+    /// Least share of the border's samples that are dark, and of the quiet zone's that are light.
+    dark: f64,
+    light: f64,
+    /// Least mean distance of a bit from its threshold, of half the contrast: true bits lie near 1, the bits of
+    /// a texture anywhere.
+    clarity: f64,
+    /// Least correlation of the gray values with the blurred print: markers stay above 0.86 in noise, blur and
+    /// the edges of shadows, other prints and textures that have a code's bits are mostly below 0.8. 0 = not
+    /// asked for.
+    likeness: f64,
+    /// Most that one cell may be off, of the variance: by a shadow's edge 0.7, a cell that is half black 1.
+    worst: f64,
+}
 
-/// Reads the quad as a marker of `family`.
-pub fn decode(view: &View<'_>, quad: &Quad, family: Family) -> Option<Decoded> {
-    let plain = attempt(view, quad, family)?;
+/// For codes that no texture shows by chance: read on bent paper and half in the shadow, too.
+const SURE: Evidence =
+    Evidence { dark: 0.875, light: 0.75, clarity: 0.35, likeness: 0.0, worst: f64::INFINITY };
+/// For codes that random bits hit once in a hundred thousand to once in a thousand.
+const RARE: Evidence = Evidence { likeness: 0.85, ..SURE };
+/// For codes that they hit more often (4x4, 16h5), and the original ArUco codes, whose rows of strokes are what
+/// letters and signs look like.
+const OFTEN: Evidence = Evidence { dark: 1.0, light: 0.875, clarity: 0.4, likeness: 0.85, worst: 0.6 };
+/// For codes that they hit more than once in twenty (4x4_1000, ARToolKit's 3x3): the print must be seen well.
+const MOSTLY: Evidence = Evidence { dark: 1.0, light: 1.0, clarity: 0.65, likeness: 0.92, worst: 0.5 };
+
+impl Evidence {
+    /// For a reading of so many wrong bits.
+    fn of(family: Family, wrong: u32) -> &'static Self {
+        match family.chance(wrong) {
+            _ if family == Family::ArucoOriginal => &OFTEN,
+            chance if chance < 1e-5 => &SURE,
+            chance if chance < 1e-3 => &RARE,
+            chance if chance < 5e-2 => &OFTEN,
+            _ => &MOSTLY,
+        }
+    }
+}
+
+/// Larger quads are not tried again a little grown or shrunk.
+const MOST_SMALL_PX: f64 = 40.0;
+
+/// Reads the quad as a marker of `family`, a family with codes.
+pub fn decode(view: &View<'_>, quad: &Quad, family: Family, polarity: Polarity) -> Option<Decoded> {
+    let plain = attempt(view, quad, family, polarity)?;
     if plain.is_some() {
         return plain;
     }
     // an outline half a pixel off loses the smallest markers' bits
-    let center = (quad[0] + quad[1] + quad[2] + quad[3]) * 0.25;
-    let side = (super::quad::area(quad)).max(0.0).sqrt();
+    let side = super::quad::area(quad).max(0.0).sqrt();
+    if side > MOST_SMALL_PX {
+        return None;
+    }
     for grow in [0.5, -0.5] {
-        let scaled = quad.map(|p| center + (p - center) * (1.0 + 2.0 * grow / side));
-        if let Some(Some(found)) = attempt(view, &scaled, family) {
+        let scaled = resized(quad, 1.0 + 2.0 * grow / side);
+        if let Some(Some(found)) = attempt(view, &scaled, family, polarity) {
             return Some(found);
         }
     }
     None
 }
 
-/// One reading. Outer `None`: nothing like a marker of this family; inner `None`: a ring, but no code.
-fn attempt(view: &View<'_>, quad: &Quad, family: Family) -> Option<Option<Decoded>> {
+/// Reads the quad as one of the picture markers. The picture is the middle half of the quad.
+pub fn decode_picture(view: &View<'_>, quad: &Quad, known: &Patterns, polarity: Polarity) -> Option<Decoded> {
     let map = Homography::from_square(*quad)?;
-    let cells = family.cells();
-    let (black, dark) = ring(view, &map, cells, 1.0 - 1.0 / cells as f64);
-    let (white, light) = ring(view, &map, cells, 1.0 + 1.0 / cells as f64);
-    let contrast = white.mean - black.mean;
-    if contrast < LEAST_CONTRAST {
+    let ring = Ring::read(view, &map, code_cells(Family::Pattern), polarity)?;
+    if ring.dark < 1.0 || ring.light < OFTEN.light {
         return None;
     }
-    let count = 4 * cells;
-    let middle = |p: DVec2| 0.5 * (black.at(p) + white.at(p));
-    let below = dark[..count].iter().filter(|(p, gray)| *gray < middle(*p)).count();
-    let above = light[..count].iter().filter(|(p, gray)| *gray > middle(*p)).count();
-    if below * 8 < count * 7 || above * 4 < count * 3 {
-        return None;
-    }
-
-    let inner = family.inner();
-    let mut soft = [[0.0; MOST_BITS]; MOST_BITS];
-    let cell = 2.0 / cells as f64;
-    // four taps about the center calm the noise of cells that have the pixels for it
-    let taps = [(-0.17, -0.17), (0.17, -0.17), (-0.17, 0.17), (0.17, 0.17)];
-    for (row, line) in soft[..inner].iter_mut().enumerate() {
-        for (column, value) in line[..inner].iter_mut().enumerate() {
-            let at = |i: usize| -1.0 + (i + family.border()) as f64 * cell + 0.5 * cell;
-            let p = DVec2::new(at(column), -at(row));
-            let gray: f64 =
-                taps.iter().map(|&(x, y)| view.gray(map.apply(p + DVec2::new(x, y) * cell))).sum();
-            *value = (gray * 0.25 - middle(p)) / (0.5 * (white.at(p) - black.at(p))).max(1.0);
+    // as many samples as there are pixels, at most 4 x 4
+    let side = super::quad::area(quad).max(0.0).sqrt();
+    let taps = ((side / 32.0) as usize).clamp(1, 4);
+    let step = 1.0 / 16.0;
+    let mut patch: Patch = [0.0; 256];
+    let mut spread = 0.0;
+    for (i, value) in patch.iter_mut().enumerate() {
+        for tap in 0..taps * taps {
+            let at =
+                |sample: usize, tap: usize| -0.5 + (sample as f64 + (tap as f64 + 0.5) / taps as f64) * step;
+            let p = DVec2::new(at(i % 16, tap % taps), -at(i / 16, tap / taps));
+            *value += ring.place(p, polarity.gray(view.gray(map.apply(p))));
         }
+        *value = 0.5 + 0.5 * *value / (taps * taps) as f64;
+        spread += (2.0 * *value - 1.0).abs().min(1.0) / 256.0;
     }
+    let (reading, _) = known.recognize(&patch)?;
+    Some(found(Family::Pattern, reading, quad, &ring, spread, polarity))
+}
+
+fn found(
+    family: Family,
+    reading: Reading,
+    quad: &Quad,
+    ring: &Ring,
+    clarity: f64,
+    polarity: Polarity,
+) -> Decoded {
+    let level = |level: Level| level.turned(reading.rotation).raw(polarity);
+    Decoded {
+        family,
+        reading,
+        margin: clarity * 0.5 * ring.contrast(),
+        quad: [0, 1, 2, 3].map(|i| quad[(i + reading.rotation) % 4]),
+        black: level(ring.black),
+        white: level(ring.white),
+    }
+}
+
+/// The quad about its center, `factor` times as large.
+fn resized(quad: &Quad, factor: f64) -> Quad {
+    let center = (quad[0] + quad[1] + quad[2] + quad[3]) * 0.25;
+    quad.map(|p| center + (p - center) * factor)
+}
+
+/// Cells of the code along the border's outer edge.
+fn code_cells(family: Family) -> usize {
+    family.inner() + (2.0 * family.border()) as usize
+}
+
+/// One reading. Outer `None`: nothing like a marker of this family; inner `None`: a ring, but no code.
+fn attempt(view: &View<'_>, quad: &Quad, family: Family, polarity: Polarity) -> Option<Option<Decoded>> {
+    let map = Homography::from_square(*quad)?;
+    let cells = code_cells(family);
+    let ring = Ring::read(view, &map, cells, polarity)?;
+    let least = Evidence::of(family, 0);
+    if ring.dark < least.dark || ring.light < least.light {
+        return None;
+    }
+    let cell_px = super::quad::area(quad).max(0.0).sqrt() / cells as f64;
+    let code = Code { view, map: &map, family, ring: &ring, polarity, cell_px };
+    let soft = code.soft();
+    let mut before = None;
     for sharpen in [0.0, 0.25] {
-        let (bits, clarity) = harden(&soft, inner, sharpen);
-        if clarity < LEAST_CLARITY {
+        let (bits, clarity) = harden(&soft, family.inner(), sharpen);
+        if clarity < least.clarity || before == Some(bits) {
             continue;
         }
+        before = Some(bits);
+        if bits == 0 || bits + 1 == 1 << (family.inner() * family.inner()) {
+            // a plain square
+            return None;
+        }
         if let Some(reading) = family.read(bits) {
-            let quad = [0, 1, 2, 3].map(|i| quad[(i + reading.rotation) % 4]);
-            let turn =
-                |level: Level| Level { mean: level.mean, slope: turned(level.slope, reading.rotation) };
-            let (black, white) = (turn(black), turn(white));
-            let margin = clarity * 0.5 * contrast;
-            return Some(Some(Decoded { family, reading, margin, quad, black, white }));
+            let least = Evidence::of(family, reading.hamming);
+            let proven = |fit: Fit| fit.likeness >= least.likeness && fit.worst <= least.worst;
+            if least.likeness == 0.0 || proven(code.fit(bits)) {
+                return Some(Some(found(family, reading, quad, &ring, clarity, polarity)));
+            }
         }
     }
     Some(None)
 }
 
-/// A slope in the frame whose top-left corner is `turns` corners further clockwise.
-fn turned(slope: DVec2, turns: usize) -> DVec2 {
-    match turns {
-        0 => slope,
-        // the new x axis runs down the old right side, the new y axis to the old right
-        1 => DVec2::new(-slope.y, slope.x),
-        2 => -slope,
-        _ => DVec2::new(slope.y, -slope.x),
+/// Cells narrower than this are read at their centers alone.
+const LEAST_CELL_PX: f64 = 3.0;
+
+/// Most bits along a side.
+const MOST_BITS: usize = 7;
+
+/// A quad whose rings are those of a marker, about to be read.
+struct Code<'a> {
+    view: &'a View<'a>,
+    map: &'a Homography,
+    family: Family,
+    ring: &'a Ring,
+    polarity: Polarity,
+    cell_px: f64,
+}
+
+impl Code<'_> {
+    /// Gray at a point given in cells of the code from its top-left: -1 = black, 1 = white.
+    #[inline]
+    fn at(&self, column: f64, row: f64) -> f64 {
+        let cell = 2.0 / code_cells(self.family) as f64;
+        let border = self.family.border();
+        let p = DVec2::new(-1.0 + (column + border) * cell, 1.0 - (row + border) * cell);
+        self.ring.place(p, self.polarity.gray(self.view.gray(self.map.apply(p))))
+    }
+
+    /// The bits' gray values.
+    fn soft(&self) -> [[f64; MOST_BITS]; MOST_BITS] {
+        let inner = self.family.inner();
+        let mut soft = [[0.0; MOST_BITS]; MOST_BITS];
+        // four taps about the center calm the noise of cells that have the pixels for it
+        let four = [(0.33, 0.67), (0.67, 0.67), (0.33, 0.33), (0.67, 0.33)];
+        let taps = if self.cell_px < LEAST_CELL_PX { &[(0.5, 0.5)][..] } else { &four };
+        for (row, line) in soft[..inner].iter_mut().enumerate() {
+            for (column, value) in line[..inner].iter_mut().enumerate() {
+                *value = taps.iter().map(|&(x, y)| self.at(column as f64 + x, row as f64 + y)).sum::<f64>()
+                    / taps.len() as f64;
+            }
+        }
+        soft
+    }
+
+    /// How well the print of these bits explains the gray values all over the code (and the inner part of a
+    /// wide border): blurred by a box of no, half or one cell's width, whichever fits best.
+    fn fit(&self, bits: u64) -> Fit {
+        // whole cells of the border between the code and the ring
+        let margin = (self.family.border() - 0.5) as usize;
+        let inner = self.family.inner();
+        let side = (inner + 2 * margin) * TAPS;
+        let count = (side * side) as f64;
+        let mut taps = [[0.0; MOST_TAPS]; MOST_TAPS];
+        let (mut seen, mut squares) = (0.0, 0.0);
+        for (row, line) in taps[..side].iter_mut().enumerate() {
+            for (column, gray) in line[..side].iter_mut().enumerate() {
+                let at = |tap: usize| (tap as f64 + 0.5) / TAPS as f64 - margin as f64;
+                *gray = self.at(at(column), at(row)).clamp(-1.5, 1.5);
+                seen += *gray;
+                squares += *gray * *gray;
+            }
+        }
+        let spread = squares - seen * seen / count;
+        let ink = |column: usize, row: usize| {
+            // beyond the code there is border
+            let (column, row) = (column.wrapping_sub(margin), row.wrapping_sub(margin));
+            let inside = column < inner && row < inner;
+            let bit = if inside { bits >> (inner * inner - 1 - (row * inner + column)) & 1 } else { 0 };
+            2.0 * bit as f64 - 1.0
+        };
+        let mut best = Fit { likeness: 0.0, worst: f64::INFINITY };
+        for width in [0.0, 0.5, 1.0] {
+            // a cell and its neighbor on the tap's side, and the neighbor's share in the box
+            let cover = |tap: usize| {
+                let (cell, s) = (tap / TAPS, ((tap % TAPS) as f64 + 0.5) / TAPS as f64);
+                let share = if width > 0.0 { ((0.5 * width - s.min(1.0 - s)) / width).max(0.0) } else { 0.0 };
+                (cell, if s < 0.5 { cell.wrapping_sub(1) } else { cell + 1 }, share)
+            };
+            let print = |column: usize, row: usize| {
+                let ((i, k, a), (j, l, b)) = (cover(column), cover(row));
+                (1.0 - b) * ((1.0 - a) * ink(i, j) + a * ink(k, j))
+                    + b * ((1.0 - a) * ink(i, l) + a * ink(k, l))
+            };
+            let (mut sum, mut square, mut product) = (0.0, 0.0, 0.0);
+            for (row, line) in taps[..side].iter().enumerate() {
+                for (column, gray) in line[..side].iter().enumerate() {
+                    let print = print(column, row);
+                    sum += print;
+                    square += print * print;
+                    product += print * gray;
+                }
+            }
+            let (power, common) = (square - sum * sum / count, product - sum * seen / count);
+            if !(power > 0.0 && spread > 0.0) || common / (power * spread).sqrt() <= best.likeness {
+                continue;
+            }
+            best = Fit { likeness: common / (power * spread).sqrt(), worst: 0.0 };
+            let gain = common / power;
+            for cell in 0..(side / TAPS) * (side / TAPS) {
+                let (i, j) = (cell % (side / TAPS) * TAPS, cell / (side / TAPS) * TAPS);
+                let mut miss = 0.0;
+                for tap in 0..TAPS * TAPS {
+                    let (column, row) = (i + tap % TAPS, j + tap / TAPS);
+                    let off = taps[row][column] - (seen + gain * (count * print(column, row) - sum)) / count;
+                    miss += off * off;
+                }
+                best.worst = best.worst.max(miss / (TAPS * TAPS) as f64 * count / spread);
+            }
+        }
+        best
     }
 }
 
-const MOST_BITS: usize = 6;
-const MOST_RING: usize = 4 * (MOST_BITS + 2);
+/// Samples along a cell for the fit.
+const TAPS: usize = 4;
+const MOST_TAPS: usize = MOST_BITS * TAPS;
 
-type Ring = [(DVec2, f64); MOST_RING];
-
-/// Gray at the middles of the cells along the four sides of the square ±radius, and the plane through them.
-fn ring(view: &View<'_>, map: &Homography, cells: usize, radius: f64) -> (Level, Ring) {
-    let mut samples = [(DVec2::ZERO, 0.0); MOST_RING];
-    let mut level = Level::default();
-    let mut squares = 0.0;
-    for (i, sample) in samples[..4 * cells].iter_mut().enumerate() {
-        let along = (-1.0 + (2 * (i / 4) + 1) as f64 / cells as f64).clamp(-radius, radius);
-        let p = match i % 4 {
-            0 => DVec2::new(along, radius),
-            1 => DVec2::new(radius, along),
-            2 => DVec2::new(along, -radius),
-            _ => DVec2::new(-radius, along),
-        };
-        *sample = (p, view.gray(map.apply(p)));
-        level.mean += sample.1;
-        level.slope += p * sample.1;
-        squares += p.x * p.x;
-    }
-    // the ring is symmetric: the normal equations are diagonal
-    level.mean /= (4 * cells) as f64;
-    level.slope /= squares;
-    (level, samples)
+/// How well a print explains what is seen.
+#[derive(Clone, Copy, Debug)]
+struct Fit {
+    /// Correlation of the gray values with the print.
+    likeness: f64,
+    /// Mean squared miss in the cell that fits worst, of the variance of all gray values.
+    worst: f64,
 }
 
 /// Bits row by row, and the mean distance of the values from their threshold (each at most 1).
@@ -229,7 +383,9 @@ mod tests {
                 2 => quad[3].x = f64::NEG_INFINITY,
                 _ => {}
             }
-            read += usize::from(decode(&view, &quad, Family::ALL[case % 4]).is_some());
+            read += usize::from(
+                decode(&view, &quad, Family::ALL[case % Family::ALL.len()], Polarity::BlackOnWhite).is_some(),
+            );
         }
         assert!(read < 10, "{read} ghosts in 100000");
     }
@@ -246,11 +402,36 @@ mod tests {
             let lens = Lens::guess(plane.size());
             for turn in 0..4 {
                 let turned = [0, 1, 2, 3].map(|i| quad[(i + turn) % 4]);
-                let found = decode(&View { luma: plane.view(), lens: &lens }, &turned, family).expect("read");
+                let found = decode(
+                    &View { luma: plane.view(), lens: &lens },
+                    &turned,
+                    family,
+                    Polarity::BlackOnWhite,
+                )
+                .expect("read");
                 assert_eq!((found.reading.id, found.reading.hamming), (17, 0));
                 assert_eq!(found.quad, quad);
                 assert!((found.black.mean - 40.0).abs() < 1.0 && (found.white.mean - 167.0).abs() < 1.0);
             }
+        }
+    }
+
+    /// White-on-black prints read with their polarity and not with the other.
+    #[test]
+    fn inverted_prints_are_read_inverted() {
+        for family in Family::ALL {
+            let id = family.codes().len() as u32 / 2;
+            let picture = family.inverted_picture(id).expect("id");
+            let (zoom, side) = (4, picture.size().width * 4);
+            let plane = Plane::from_fn(Size::new(side, side), |x, y| 30 + picture.at(x / zoom, y / zoom) / 2);
+            let (low, high) = (zoom as f64 - 0.5, (side - zoom) as f64 - 0.5);
+            let quad = [(low, low), (high, low), (high, high), (low, high)].map(|(x, y)| DVec2::new(x, y));
+            let lens = Lens::guess(plane.size());
+            let view = View { luma: plane.view(), lens: &lens };
+            let found = decode(&view, &quad, family, Polarity::WhiteOnBlack).expect("read");
+            assert_eq!((found.reading.id, found.quad), (id, quad));
+            assert!((found.black.mean - 157.0).abs() < 1.0 && (found.white.mean - 30.0).abs() < 1.0);
+            assert!(decode(&view, &quad, family, Polarity::BlackOnWhite).is_none());
         }
     }
 }

@@ -16,7 +16,7 @@ use super::solve::{self, Minimum};
 use super::{Tracker, Wanted, bounds, mean_side, wish};
 use crate::frame::{Sighting, Solved, State};
 use crate::geometry::{Homography, Lens, Pose};
-use crate::marker::Family;
+use crate::marker::{Family, Ink};
 use crate::pixels::{Plane, PlaneRef, Size, simd};
 use glam::DVec2;
 use rayon::prelude::*;
@@ -208,7 +208,7 @@ impl Tracker {
         };
         let quads = follow.window.quads(picture, &self.rectify, limits, &follow.boxes, self.level);
         let view = View { luma, lens };
-        self.decoded.extend(quads.iter().filter_map(|quad| super::read(&view, quad, wanted)));
+        self.decoded.extend(quads.iter().filter_map(|quad| super::read(&view, quad, wanted, &self.patterns)));
     }
 }
 
@@ -341,8 +341,9 @@ impl Track {
 
     /// Whether what was aligned is this marker: its print explains the picture, and its bits are its own.
     fn is_it(&mut self, scene: &Scene<'_>, aligned: &Aligned) -> bool {
-        let contrast = aligned.inks[1].mean - aligned.inks[0].mean;
-        let before = self.inks[1].mean - self.inks[0].mean;
+        let step = |inks: &[Level; 2]| inks[1].mean - inks[0].mean;
+        let (before, now) = (step(&self.inks), step(&aligned.inks));
+        let contrast = now * before.signum();
         let grown = mean_side(&aligned.quad) / mean_side(&self.seen[0].1);
         let explained = contrast >= LEAST_CONTRAST.max(LEAST_KEPT * before)
             && aligned.share >= LEAST_SHARE
@@ -356,18 +357,24 @@ impl Track {
         true
     }
 
-    /// Bits that differ from the code, those near their threshold left out, and the mean distance from it.
+    /// Cells inside the border that differ from the code, those near their threshold left out, and the mean
+    /// distance from it.
     fn bits(&self, view: &View<'_>, aligned: &Aligned) -> Option<(u32, f64)> {
         let map = Homography::from_square(aligned.quad)?;
         let cells = self.pattern.cells;
         let (mut wrong, mut margin, mut count) = (0, 0.0, 0.0);
-        for row in 0..cells {
-            for column in 0..cells {
+        for row in 1..cells - 1 {
+            for column in 1..cells - 1 {
+                let ink = self.pattern.ink(column, row);
+                if ink == Ink::Picture {
+                    continue;
+                }
                 let p = cell(column as f64, row as f64, cells);
                 let (black, white) = (aligned.inks[0].at(p), aligned.inks[1].at(p));
-                let above = view.gray(map.apply(p)) - 0.5 * (black + white);
-                wrong += u32::from((above > 0.0) != self.pattern.ink(column, row) && above.abs() > 0.1 * (white - black));
-                margin += above.abs();
+                // in units of half the step: -1 black, 1 white
+                let value = (2.0 * view.gray(map.apply(p)) - black - white) / (white - black);
+                wrong += u32::from((value > 0.0) != (ink == Ink::White) && value.abs() > 0.2);
+                margin += value.abs().min(1.0) * 0.5 * (white - black).abs();
                 count += 1.0;
             }
         }
@@ -384,7 +391,7 @@ impl Track {
         let stride = ((side * 0.35) as i32).max(1);
         let mut points = [[0i32; 3]; 18 * 18];
         let mut count = 0;
-        let contrast = self.inks[1].mean - self.inks[0].mean;
+        let contrast = (self.inks[1].mean - self.inks[0].mean).abs();
         let cap = (0.6 * contrast) as i32;
         let Size { width, height } = view.luma.size();
         let (w, h) = (width as i32, height as i32);
@@ -392,8 +399,11 @@ impl Track {
             for column in 0..cells + 2 {
                 let p = cell(column as f64 - 1.0, row as f64 - 1.0, cells);
                 let outside = row == 0 || column == 0 || row > cells || column > cells;
-                let white = outside || self.pattern.ink(column - 1, row - 1);
-                let gray = self.inks[usize::from(white)].at(p);
+                let ink = if outside { Ink::White } else { self.pattern.ink(column - 1, row - 1) };
+                if ink == Ink::Picture {
+                    continue;
+                }
+                let gray = self.inks[usize::from(ink == Ink::White)].at(p);
                 let at = rectify::seen(view.lens, map.apply(p)) + 0.5;
                 if count < points.len() && at.is_finite() && at.abs().max_element() < 1e6 {
                     points[count] = [at.x.floor() as i32, at.y.floor() as i32, gray as i32];

@@ -2,9 +2,9 @@
 //!
 //! Comes in: the luma plane, the lens, and what the scene wants; goes out: `Sighting`s ordered by family and
 //! id. The way through, one file a step: `threshold` (gray → bits) → `segment` (bits → blobs) → `contour` and
-//! `quad` (blob → corners, in the ideal pixels of `rectify`) → `decode` (quad → code) → `align` (sub-pixel
-//! corners from the whole print) → `solve` (both poses). Every step refuses early what cannot be a marker, and
-//! the work on a picture of noise is bounded.
+//! `quad` (blob → corners, in the ideal pixels of `rectify`) → `ring` and `decode` (quad → code or picture) →
+//! `align` (sub-pixel corners from the whole print) → `solve` (both poses). Every step refuses early what cannot
+//! be a marker, and the work on a picture of noise is bounded.
 //!
 //! Every picture is searched on its own; nothing is carried from one to the next. The result does not depend
 //! on the number of threads nor on the SIMD level.
@@ -16,6 +16,7 @@ mod filter;
 mod follow;
 mod quad;
 mod rectify;
+mod ring;
 mod search;
 mod segment;
 pub mod solve;
@@ -23,7 +24,7 @@ mod threshold;
 
 use crate::frame::{Sighting, State};
 use crate::geometry::Lens;
-use crate::marker::Family;
+use crate::marker::{Family, Patterns, Polarity};
 use crate::pixels::{Plane, PlaneRef, simd::Level};
 use decode::{Decoded, View};
 use follow::Follow;
@@ -91,6 +92,7 @@ struct Candidate {
 pub struct Tracker {
     config: Config,
     level: Level,
+    patterns: Patterns,
     whole: Search,
     half: Search,
     halved: Plane<u8>,
@@ -108,6 +110,7 @@ impl Tracker {
         Self {
             config,
             level,
+            patterns: Patterns::default(),
             whole: Search::default(),
             half: Search::default(),
             halved: Plane::default(),
@@ -118,6 +121,12 @@ impl Tracker {
             sightings: Vec::new(),
             follow: Follow::default(),
         }
+    }
+
+    /// The same tracker, knowing the picture markers that [`Family::Pattern`] counts.
+    pub fn knowing(mut self, patterns: Patterns) -> Self {
+        self.patterns = patterns;
+        self
     }
 
     /// The wanted markers in view, ordered by family and id.
@@ -150,6 +159,7 @@ impl Tracker {
         if !usable || !finite || wanted.is_empty() {
             return false;
         }
+        wanted.iter().for_each(|w| w.family.prepare());
         self.rectify.prepare(lens, size);
         true
     }
@@ -170,6 +180,7 @@ impl Tracker {
         // the halved picture first: it is a quarter of the work, finds what noise hides in the whole one, and
         // spares that one the large markers
         let view = View { luma, lens };
+        let patterns = &self.patterns;
         search::halve(luma, &mut self.halved, self.level);
         self.decoded.clear();
         self.known.clear();
@@ -183,7 +194,7 @@ impl Tracker {
             self.candidates.clear();
             self.candidates.extend(quads.iter().map(|&quad| Candidate { quad, found: None }));
             self.candidates.par_iter_mut().with_min_len(4).for_each(|candidate| {
-                candidate.found = read(&view, &candidate.quad, wanted);
+                candidate.found = read(&view, &candidate.quad, wanted, patterns);
             });
             self.decoded.extend(self.candidates.iter().filter_map(|c| c.found));
             self.known.extend(
@@ -196,14 +207,16 @@ impl Tracker {
     }
 }
 
-/// Reads the quad as one of the wanted families, the clearest reading if several fit.
-fn read(view: &View<'_>, quad: &quad::Quad, wanted: &[Wanted]) -> Option<Decoded> {
+/// Reads the quad as one of the wanted families, the clearest reading if several fit; as a picture only where
+/// no code is read.
+fn read(view: &View<'_>, quad: &quad::Quad, wanted: &[Wanted], patterns: &Patterns) -> Option<Decoded> {
+    let polarity = Polarity::BlackOnWhite;
     let mut best: Option<Decoded> = None;
     for family in Family::ALL {
         if !wanted.iter().any(|w| w.family == family) {
             continue;
         }
-        let found = decode::decode(view, quad, family)
+        let found = decode::decode(view, quad, family, polarity)
             .filter(|found| wish(wanted, family, found.reading.id).is_some());
         if let Some(found) = found
             && best.is_none_or(|best| {
@@ -212,6 +225,10 @@ fn read(view: &View<'_>, quad: &quad::Quad, wanted: &[Wanted]) -> Option<Decoded
         {
             best = Some(found);
         }
+    }
+    if best.is_none() && wanted.iter().any(|w| w.family == Family::Pattern) {
+        best = decode::decode_picture(view, quad, patterns, polarity)
+            .filter(|found| wish(wanted, Family::Pattern, found.reading.id).is_some());
     }
     best
 }

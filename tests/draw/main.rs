@@ -24,7 +24,7 @@ pub fn scene(mesh: Mesh, shading: Shading, cull_back: bool) -> Scene {
     let to_marker = DAffine3::IDENTITY;
     let mesh = mesh.into();
     let model = Model { name: "test".into(), mesh, anchor, to_marker, shading, cull_back, secondary: false };
-    Scene { models: vec![model], light: Light::default() }
+    Scene { models: vec![model], ..Scene::default() }
 }
 
 fn camera(width: usize, height: usize, near: f64, far: f64) -> Camera {

@@ -66,7 +66,7 @@ pub fn lay(config: &Config) -> Scene {
         ),
     ];
     models.extend(objects.into_iter().map(|(name, mesh, color)| model(name, painted(mesh, color))));
-    Scene { models, light: Light { ambient: 0.35, ..Light::default() } }
+    Scene { models, light: Light { ambient: 0.35, ..Light::default() }, ..Scene::default() }
 }
 
 fn textured(texture: Rgb) -> Material {

@@ -27,7 +27,7 @@ pub struct Sheet {
     side: Vec<f32>,
     stride: usize,
     /// Columns touched in each row, `from..to`.
-    spans: Vec<[usize; 2]>,
+    spans: Vec<[u32; 2]>,
 }
 
 /// Rows of the shade plane, `first` being the topmost.
@@ -97,9 +97,11 @@ impl Sheet {
         let origin = (stroke.span[0] - reach).floor();
         let place = |at: [f64; 2]| [(at[0] - left) as f32, (at[1] - origin) as f32];
         let skipped = (top - origin) as usize;
-        for (k, ends) in stroke.points.windows(2).enumerate() {
-            let ends = [place(ends[0].at), place(ends[1].at)];
-            self.segment::<_, QUADS>(simd, ends, k as f32, reach as f32, [columns, lines], skipped);
+        let mut from = place(stroke.points[0].at);
+        for (k, point) in stroke.points[1..].iter().enumerate() {
+            let to = place(point.at);
+            self.segment::<_, QUADS>(simd, [from, to], k as f32, reach as f32, [columns, lines], skipped);
+            from = to;
         }
         for line in 0..lines {
             let shade = &mut rows.shade[(top as usize - rows.first + line) * rows.stride + left as usize..];
@@ -126,44 +128,52 @@ impl Sheet {
     ) {
         let (left, right) = covered(a[0], b[0], reach, columns);
         let (top, bottom) = covered(a[1], b[1], reach, skipped + lines);
-        if right <= left {
+        let top = top.max(skipped);
+        if right <= left || bottom <= top {
             return;
         }
-        let width = (right - left).next_multiple_of(8);
         let along = [b[0] - a[0], b[1] - a[1]];
-        let scale = 1.0 / (along[0] * along[0] + along[1] * along[1]);
-        let (zero, one) = (f32x8::splat(simd, 0.0), f32x8::splat(simd, 1.0));
+        let square = along[0] * along[0] + along[1] * along[1];
+        let length = square.sqrt();
+        let unit = [along[0] / length, along[1] / length];
+        let (zero, end) = (f32x8::splat(simd, 0.0), f32x8::splat(simd, length));
         let lanes = f32x8::from_slice(simd, &[0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0]);
-        for line in top.max(skipped)..bottom {
-            let y = line as f32 - a[1];
-            let at = (line - skipped) * self.stride + left;
-            let mut dx = lanes + (left as f32 - a[0]);
-            for (block, squares) in self.squares[at..at + width].as_chunks_mut::<8>().0.iter_mut().enumerate()
-            {
-                let t = ((dx * along[0] + y * along[1]) * scale).max(zero).min(one);
-                let (off_x, off_y) = (dx - t * along[0], f32x8::splat(simd, y) - t * along[1]);
-                let square = off_x * off_x + off_y * off_y;
+        let stride = self.stride;
+        for x in (left..right).step_by(8) {
+            let dx = lanes + (x as i32 as f32 - a[0]);
+            // how far along the segment's line a pixel lies, and how far beside it
+            let (ahead, beside) = (dx * unit[0], dx * unit[1]);
+            let rows = self.squares[(top - skipped) * stride..].chunks_exact_mut(stride);
+            for (line, row) in (top..bottom).zip(rows) {
+                let y = line as i32 as f32 - a[1];
+                let (ahead, beside) = (ahead + y * unit[1], beside - y * unit[0]);
+                let nearest = ahead.max(zero).min(end);
+                let past = ahead - nearest;
+                let square = past * past + beside * beside;
+                let squares = &mut row[x..][..8];
                 let kept = f32x8::from_slice(simd, squares);
                 square.min(kept).store_slice(squares);
                 if QUADS {
                     let nearer = simd.simd_lt_f32x8(square, kept);
-                    let right = off_y * along[0] - off_x * along[1];
-                    for (sheet, value) in [(&mut self.along, t + k), (&mut self.side, right)] {
-                        let sheet = &mut sheet[at + 8 * block..][..8];
+                    let at = (line - skipped) * stride + x;
+                    for (sheet, value) in [(&mut self.along, nearest / length + k), (&mut self.side, -beside)]
+                    {
+                        let sheet = &mut sheet[at..][..8];
                         simd.select_f32x8(nearer, value, f32x8::from_slice(simd, sheet)).store_slice(sheet);
                     }
                 }
-                dx += 8.0;
             }
-            let span = &mut self.spans[line - skipped];
-            *span = [span[0].min(left), span[1].max(left + width)];
+        }
+        let (left, right) = (left as u32, (left + (right - left).next_multiple_of(8)) as u32);
+        for span in &mut self.spans[top - skipped..bottom - skipped] {
+            *span = [span[0].min(left), span[1].max(right)];
         }
     }
 
     /// Blends one line of the sheet, which is empty afterwards, into a row of the shade plane.
     #[inline(always)]
     fn blend<S: Simd>(&mut self, simd: S, config: &Config, reach: f32, line: usize, shade: &mut [f32]) {
-        let [from, to] = self.spans[line];
+        let [from, to] = self.spans[line].map(|x| x as usize);
         let width = to.saturating_sub(from).next_multiple_of(8);
         if width == 0 {
             return;
@@ -187,7 +197,7 @@ impl Sheet {
         let row = line * self.stride;
         let (opacity, fade) = (config.opacity as f32, config.fade as f32);
         let last = points.len() - 2;
-        let [from, to] = self.spans[line];
+        let [from, to] = self.spans[line].map(|x| x as usize);
         for (x, shade) in shade.iter_mut().enumerate().take(to).skip(from) {
             let square = std::mem::replace(&mut self.squares[row + x], f32::INFINITY);
             let along = self.along[row + x];
@@ -208,7 +218,7 @@ impl Sheet {
 }
 
 /// No columns: any span joined to it is that span.
-const NOWHERE: [usize; 2] = [usize::MAX, 0];
+const NOWHERE: [u32; 2] = [u32::MAX, 0];
 
 fn larger(a: f64, b: f64) -> f64 {
     if a > b { a } else { b }
@@ -218,7 +228,7 @@ fn larger(a: f64, b: f64) -> f64 {
 #[inline(always)]
 fn covered(a: f32, b: f32, reach: f32, count: usize) -> (usize, usize) {
     let (low, high) = if a < b { (a, b) } else { (b, a) };
-    // conversions cut off and saturate at 0; one more on the left does no harm
-    let (from, to) = ((low - reach) as usize, (high + reach) as usize + usize::from(high + reach >= 0.0));
-    (from.min(count), to.min(count))
+    // conversions cut off; one more on either side does no harm
+    let (from, to) = ((low - reach) as i32, (high + reach + 1.0) as i32);
+    ((from.max(0) as usize).min(count), (to.max(0) as usize).min(count))
 }

@@ -15,8 +15,7 @@ const LANES: usize = 8;
 const GROUPS: usize = 4;
 /// Rows of a block: the unknowns' derivatives and the residual.
 const ROWS: usize = UNKNOWNS + 1;
-const PRODUCTS: usize = ROWS * (ROWS + 1) / 2;
-
+const PRODUCTS: usize = UNKNOWNS * (UNKNOWNS + 1) / 2;
 /// A·step = b (A's lower triangle), the weighted sum of squared residuals and the sum of weights.
 pub struct Sums {
     pub a: [[f64; UNKNOWNS]; UNKNOWNS],
@@ -27,9 +26,15 @@ pub struct Sums {
 
 type Block = [[[f32; LANES]; GROUPS]; ROWS];
 
-/// The equations at the fit's present place; `None` where that is degenerate.
+/// The equations at the fit's present place, without A (0) unless `products_too`; `None` where that is degenerate.
 #[inline(always)]
-pub fn normal<S: Simd>(simd: S, samples: &Samples, pattern: &Pattern, fit: &Fit) -> Option<Sums> {
+pub fn normal<S: Simd>(
+    simd: S,
+    samples: &Samples,
+    pattern: &Pattern,
+    fit: &Fit,
+    products_too: bool,
+) -> Option<Sums> {
     let inverse = fit.map.inverse();
     if !inverse.is_finite() {
         return None;
@@ -58,11 +63,11 @@ pub fn normal<S: Simd>(simd: S, samples: &Samples, pattern: &Pattern, fit: &Fit)
     }
     let narrow = widest < 0.48;
     let mut products = [[0.0f32; LANES]; PRODUCTS];
+    let mut right = [[0.0f32; LANES]; ROWS];
     let mut weights = f32x8::splat(simd, 0.0);
     let count = samples.count.min(MOST_SAMPLES);
     let mut block: Block = [[[0.0; LANES]; GROUPS]; ROWS];
-    let mut from = 0;
-    while from < count {
+    for from in (0..count).step_by(GROUPS * LANES) {
         for g in 0..GROUPS {
             let at = from + g * LANES;
             if at >= count {
@@ -75,46 +80,45 @@ pub fn normal<S: Simd>(simd: S, samples: &Samples, pattern: &Pattern, fit: &Fit)
                 weights = weights + model.rows::<3>(samples, at, count, g, &mut block);
             }
         }
-        multiply(simd, &block, &mut products);
-        from += GROUPS * LANES;
+        accumulate(simd, &block, UNKNOWNS, &mut right);
+        if products_too {
+            let mut k = 0;
+            for row in 0..UNKNOWNS {
+                accumulate(simd, &block, row, &mut products[k..=k + row]);
+                k += row + 1;
+            }
+        }
     }
-    let total = |lanes: &[f32; LANES]| lanes.iter().map(|v| f64::from(*v)).sum::<f64>();
+    let total = |lanes: &[f32]| lanes.iter().map(|v| f64::from(*v)).sum::<f64>();
     let mut sums = Sums {
         a: [[0.0; UNKNOWNS]; UNKNOWNS],
         b: [0.0; UNKNOWNS],
-        squares: total(&products[PRODUCTS - 1]),
-        weights: weights.as_slice().iter().map(|v| f64::from(*v)).sum(),
+        squares: total(&right[UNKNOWNS]),
+        weights: total(weights.as_slice()),
     };
     let mut k = 0;
-    for row in 0..ROWS {
+    for row in 0..UNKNOWNS {
+        sums.b[row] = total(&right[row]);
         for column in 0..=row {
-            if row < UNKNOWNS {
-                sums.a[row][column] = total(&products[k]);
-            } else if column < UNKNOWNS {
-                sums.b[column] = total(&products[k]);
-            }
+            sums.a[row][column] = total(&products[k]);
             k += 1;
         }
     }
     Some(sums)
 }
 
-/// Adds the products of all pairs of the block's rows.
+/// Adds the products of a row of the block with the rows up to itself.
 #[inline(always)]
-fn multiply<S: Simd>(simd: S, block: &Block, products: &mut [[f32; LANES]; PRODUCTS]) {
-    let mut k = 0;
-    for row in 0..ROWS {
-        let a0 = f32x8::from_slice(simd, &block[row][0]);
-        let a1 = f32x8::from_slice(simd, &block[row][1]);
-        let a2 = f32x8::from_slice(simd, &block[row][2]);
-        let a3 = f32x8::from_slice(simd, &block[row][3]);
-        for other in &block[..=row] {
-            let sum = (a0 * f32x8::from_slice(simd, &other[0]) + a1 * f32x8::from_slice(simd, &other[1]))
-                + (a2 * f32x8::from_slice(simd, &other[2]) + a3 * f32x8::from_slice(simd, &other[3]));
-            let all = f32x8::from_slice(simd, &products[k]) + sum;
-            products[k].copy_from_slice(all.as_slice());
-            k += 1;
-        }
+fn accumulate<S: Simd>(simd: S, block: &Block, row: usize, sums: &mut [[f32; LANES]]) {
+    let a0 = f32x8::from_slice(simd, &block[row][0]);
+    let a1 = f32x8::from_slice(simd, &block[row][1]);
+    let a2 = f32x8::from_slice(simd, &block[row][2]);
+    let a3 = f32x8::from_slice(simd, &block[row][3]);
+    for (sum, other) in sums.iter_mut().zip(block) {
+        let here = (a0 * f32x8::from_slice(simd, &other[0]) + a1 * f32x8::from_slice(simd, &other[1]))
+            + (a2 * f32x8::from_slice(simd, &other[2]) + a3 * f32x8::from_slice(simd, &other[3]));
+        let here = f32x8::from_slice(simd, &sum[..]) + here;
+        sum.copy_from_slice(here.as_slice());
     }
 }
 

@@ -9,11 +9,11 @@ use fearless_simd::{Simd, SimdBase, SimdFrom, f32x8, i32x8, prelude::*};
 use glam::{DMat3, DVec2};
 
 /// Most pixels a fit looks at: bounds the work on large markers.
-pub const MOST_SAMPLES: usize = 6144;
+pub const MOST_SAMPLES: usize = 4096;
 /// Pixels taken at once.
 const RUN: usize = 8;
 /// Cells of quiet zone that are looked at.
-const QUIET: f32 = 0.6;
+const QUIET: f64 = 0.6;
 
 /// Pixels as the fit sees them.
 pub struct Samples {
@@ -59,7 +59,10 @@ pub fn gather<S: Simd>(
     samples.whole = true;
     let map = Homography(fit.map);
     let cells = pattern.cells as f64;
-    let edge = 1.0 + 2.0 * f64::from(QUIET) / cells;
+    let blur = fit.blur.map(|v| v * grow * grow);
+    let reach_px = (0.5 * (blur[0] + blur[2])).sqrt() * fit.scale;
+    let quiet = QUIET;
+    let edge = 1.0 + 2.0 * quiet / cells;
     let outer = [(-edge, edge), (edge, edge), (edge, -edge), (-edge, -edge)]
         .map(|(x, y)| rectify::seen(view.lens, fit.center + map.apply(DVec2::new(x, y)) * fit.scale));
     if !outer.iter().all(|p| p.is_finite()) {
@@ -69,8 +72,6 @@ pub fn gather<S: Simd>(
     if !inverse.is_finite() {
         return;
     }
-    let blur = fit.blur.map(|v| v * grow * grow);
-    let reach_px = (0.5 * (blur[0] + blur[2])).sqrt() * fit.scale;
     // outer edge and about half of the inner cell edges, px along times px across
     let edges = 4.0 + (cells - 2.0) * (cells - 1.0) / cells;
     let expected = (edges * fit.scale * 2.0 * reach_px).min(1.3 * fit.scale * fit.scale);
@@ -81,7 +82,8 @@ pub fn gather<S: Simd>(
     let slack = if view.lens.is_distorted() { 3.0 } else { 1.0 };
     let (low, high) = outer.iter().fold((f64::MAX, f64::MIN), |(l, h), p| (l.min(p.y), h.max(p.y)));
     let rows = (low - slack).max(0.0) as usize..((high + slack).max(0.0) as usize + 1).min(size.height);
-    let near = Near { simd, inverse: f32s(&inverse), pattern, blur: blur.map(|v| v as f32) };
+    let near =
+        Near { simd, inverse: f32s(&inverse), pattern, blur: blur.map(|v| v as f32), quiet: quiet as f32 };
     for y in rows {
         let Some([from, to]) = span(&outer, y as f64, slack) else { continue };
         let from = from.max(0.0) as usize;
@@ -149,6 +151,7 @@ struct Near<'a, S: Simd> {
     inverse: [[f32; 3]; 3],
     pattern: &'a Pattern,
     blur: [f32; 3],
+    quiet: f32,
 }
 
 impl<S: Simd> Near<'_, S> {
@@ -163,18 +166,27 @@ impl<S: Simd> Near<'_, S> {
         let cells = self.pattern.cells as f32;
         let half = 0.5 * cells;
         let (u, v) = (px * half + half, half - py * half);
-        let (low, high) = (f32x8::splat(simd, -QUIET), f32x8::splat(simd, cells + QUIET));
-        let inside = u.simd_ge(low) & u.simd_le(high) & v.simd_ge(low) & v.simd_le(high);
+        let (low, high) = (f32x8::splat(simd, -self.quiet), f32x8::splat(simd, cells + self.quiet));
+        let mut inside = u.simd_ge(low) & u.simd_le(high) & v.simd_ge(low) & v.simd_le(high);
         if !inside.any_true() {
             return 0;
         }
-        let flats = inside.to_bitmask() as u32 & (1 << flat);
         // the kernel's half-width in cells: the gradient of the cell coordinate is cells per unit
         let (ax, ay) = ((px * -m[0][2] + m[0][0]) * over, (px * -m[1][2] + m[1][0]) * over);
         let (bx, by) = ((py * -m[0][2] + m[0][1]) * over, (py * -m[1][2] + m[1][1]) * over);
         let [xx, xy, yy] = self.blur;
         let wide_u = (ax * ax * xx + ax * ay * (2.0 * xy) + ay * ay * yy).sqrt() * half;
         let wide_v = (bx * bx * xx + bx * by * (2.0 * xy) + by * by * yy).sqrt() * half;
+        if let Some([from, to]) = self.pattern.picture {
+            // what the picture's ink may reach is not known
+            let (from, to) = (f32x8::splat(simd, from), f32x8::splat(simd, to));
+            let touched = (u + wide_u).simd_gt(from)
+                & (u - wide_u).simd_lt(to)
+                & (v + wide_v).simd_gt(from)
+                & (v - wide_v).simd_lt(to);
+            inside = inside & !touched;
+        }
+        let flats = inside.to_bitmask() as u32 & (1 << flat);
         let (first, last) = (f32x8::splat(simd, 0.0), f32x8::splat(simd, cells));
         let bu = (u + 0.5).floor().max(first).min(last);
         let bv = (v + 0.5).floor().max(first).min(last);

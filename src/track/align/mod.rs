@@ -14,8 +14,6 @@
 mod equations;
 mod gather;
 mod pattern;
-#[cfg(test)]
-mod reference;
 
 use super::decode::{Level, View};
 use super::quad::{self, Quad};
@@ -36,9 +34,15 @@ const START_SIGMA_PX: f64 = 0.7;
 /// Least and most blur, px.
 const SIGMA_PX: [f64; 2] = [0.3, 5.0];
 /// Most Gauss-Newton steps on the thin set and on the whole one.
-const STEPS: [usize; 2] = [8, 6];
-/// A fit whose last step was longer is not one, px.
+const STEPS: [usize; 2] = [6, 3];
+/// The same where the fit must settle.
+const PATIENCE: [usize; 2] = [8, 6];
+/// A fit whose last step was longer has not settled, px.
 const SETTLED_PX: f64 = 0.25;
+/// How many of these steps, on either set, find the matrix of the equations anew.
+const FRESH: [usize; 2] = [9, 9];
+/// A step shorter than this, px, was the last one on either set.
+const ENOUGH_PX: [f64; 2] = [0.1, 0.03];
 /// Pixels of the thin set.
 const THIN_SAMPLES: usize = 500;
 /// Homography, black and step levels, the kernel's extent.
@@ -121,7 +125,7 @@ pub fn align(view: &View<'_>, start: &Start, rectify: &Rectify, level: simd::Lev
             .blur
             .map_or([sharp, 0.0, sharp], |[xx, xy, yy]| [xx + doubt, xy, yy + doubt])
             .map(|v| v * unit * unit),
-        reach: 0.35 * contrast,
+        reach: 0.35 * contrast.abs(),
         rigid: false,
     };
     let mut samples = Samples::default();
@@ -136,17 +140,26 @@ pub fn align(view: &View<'_>, start: &Start, rectify: &Rectify, level: simd::Lev
         if let (true, Some(blur)) = (whole, start.blur) {
             fit.blur = blur.map(|v| v * unit * unit);
         }
-        let (most, grow, steps) = if whole { (most, 1.15, STEPS[1]) } else { (THIN_SAMPLES, 1.33, STEPS[0]) };
+        let steps = if start.blur.is_some() { PATIENCE } else { STEPS }[usize::from(whole)];
+        let (most, grow) = if whole { (most, 1.15) } else { (THIN_SAMPLES, 1.33) };
         dispatch!(level, simd => gather::gather(simd, view, rectify, &fit, &pattern, most, grow, &mut samples));
         if samples.count < 4 * UNKNOWNS {
             return None;
         }
-        for _ in 0..steps {
-            let sums = dispatch!(level, simd => equations::normal(simd, &samples, &pattern, &fit))?;
-            let moved = fit.step(&sums, contrast)?;
+        let mut a = None;
+        for turn in 0..steps {
+            // near the end A changes no more
+            let fresh = turn < FRESH[usize::from(whole)] || a.is_none();
+            let mut sums =
+                dispatch!(level, simd => equations::normal(simd, &samples, &pattern, &fit, fresh))?;
+            match a {
+                Some(a) if !fresh => sums.a = a,
+                _ => a = Some(sums.a),
+            }
+            let moved = fit.step(&sums, contrast.abs())?;
             last = Some(sums);
             settled = moved < SETTLED_PX;
-            if moved < if fit.rigid { 0.15 } else { 0.04 } {
+            if moved < ENOUGH_PX[usize::from(whole)] {
                 break;
             }
         }
@@ -312,4 +325,81 @@ fn invert(mut a: [[f64; 8]; 8]) -> Option<[[f64; 8]; 8]> {
         }
     }
     Some(inverse)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::Lens;
+    use crate::pixels::{Plane, Size};
+
+    /// b is half the descent of the sum of squares, unknown by unknown.
+    #[test]
+    fn equations_are_the_derivatives_of_the_squares() {
+        let (family, id) = (Family::Tag36h11, 7);
+        let size = Size::new(120, 110);
+        let picture = Plane::from_fn(size, |x, y| (40 + (x * 7 + y * 13) % 150) as u8);
+        let lens = Lens::guess(size);
+        let view = View { luma: picture.view(), lens: &lens };
+        let mut rectify = Rectify::default();
+        rectify.prepare(&lens, size);
+        let pattern = Pattern::new(family, id).expect("id 7");
+        for cell_px in [9.0, 2.5] {
+            let (center, scale) = (DVec2::new(60.0, 55.0), 8.0 * cell_px);
+            let quad = [(-0.52, -0.48), (0.5, -0.45), (0.47, 0.55), (-0.49, 0.46)];
+            let mut map = Homography::from_square(quad.map(|(x, y)| DVec2::new(x, y))).expect("convex").0;
+            map *= 1.0 / map.z_axis.z;
+            let unit = (0.9 * WIDTH_PER_SIGMA / scale) * (0.9 * WIDTH_PER_SIGMA / scale);
+            let fit = Fit {
+                map,
+                center,
+                scale,
+                levels: [60.0, 3.0, -4.0, 90.0, 5.0, 6.0],
+                blur: [unit, 0.2 * unit, 0.7 * unit],
+                reach: 1e9,
+            };
+            let mut samples = Samples::default();
+            let level = simd::best();
+            dispatch!(level, simd => gather::gather(simd, &view, &rectify, &fit, &pattern, 4000, 1.3, &mut samples));
+            assert!(samples.count > 200);
+            let sums = |fit: &Fit| {
+                dispatch!(level, simd => equations::normal(simd, &samples, &pattern, fit, true))
+                    .expect("regular")
+            };
+            let at = sums(&fit);
+            for k in 0..UNKNOWNS {
+                let step = if k < 8 {
+                    2e-4
+                } else if k < 14 {
+                    0.05
+                } else {
+                    0.01 * unit
+                };
+                let moved = |sign: f64| {
+                    let mut fit = fit;
+                    let step = sign * step;
+                    match k {
+                        0 => fit.map.x_axis.x += step,
+                        1 => fit.map.y_axis.x += step,
+                        2 => fit.map.z_axis.x += step,
+                        3 => fit.map.x_axis.y += step,
+                        4 => fit.map.y_axis.y += step,
+                        5 => fit.map.z_axis.y += step,
+                        6 => fit.map.x_axis.z += step,
+                        7 => fit.map.y_axis.z += step,
+                        k if k < 14 => fit.levels[k - 8] += step,
+                        k => fit.blur[k - 14] += step,
+                    }
+                    sums(&fit).squares
+                };
+                let slope = (moved(1.0) - moved(-1.0)) / (2.0 * step);
+                let size = (at.squares * at.a[k][k]).sqrt();
+                assert!(
+                    (slope + 2.0 * at.b[k]).abs() < 0.02 * size,
+                    "unknown {k}, cell {cell_px} px: {slope} against {} of {size}",
+                    -2.0 * at.b[k]
+                );
+            }
+        }
+    }
 }

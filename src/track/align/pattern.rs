@@ -1,6 +1,6 @@
 //! The print as bits around its junctions, where four cells meet.
 
-use crate::marker::Family;
+use crate::marker::{Family, Ink};
 
 /// Most cells along the border's outer edge.
 pub const MOST_CELLS: usize = 12;
@@ -15,12 +15,14 @@ pub struct Pattern {
     pub around: [u16; STRIDE * STRIDE],
     /// Cells along the border's outer edge.
     pub cells: usize,
+    /// From which to before which cell along both sides the print is a picture that is not known.
+    pub picture: Option<[f32; 2]>,
 }
 
 impl Pattern {
     /// The pattern of a family's print; `None` when there is none of this number.
     pub fn new(family: Family, id: u32) -> Option<Self> {
-        let code = *family.codes().get(id as usize)?;
+        let code = family.code(id)?;
         let cells = family.cells();
         if cells > MOST_CELLS {
             return None;
@@ -31,15 +33,24 @@ impl Pattern {
                 let mut bits = 0;
                 for k in 0..16 {
                     let (x, y) = (column as isize + k % 4 - 2, row as isize + k / 4 - 2);
-                    bits |= u16::from(family.is_white(code, x, y)) << k;
+                    bits |= u16::from(family.ink(code, x, y) == Ink::White) << k;
                 }
                 around[row * STRIDE + column] = bits;
             }
         }
-        Some(Self { around, cells })
+        let middle = (cells / 2) as isize;
+        let first = (0..middle).find(|&column| family.ink(code, column, middle) == Ink::Picture);
+        let picture = first.map(|border| [border as f32, (cells as isize - border) as f32]);
+        Some(Self { around, cells, picture })
     }
-    /// Whether a cell is white; column and row count from the border's top-left cell and stay inside it.
-    pub fn ink(&self, column: usize, row: usize) -> bool {
-        self.around[row * STRIDE + column] >> 10 & 1 == 1
+
+    /// The ink of a cell; column and row count from the border's top-left cell and stay inside it.
+    pub fn ink(&self, column: usize, row: usize) -> Ink {
+        let within = |[from, to]: [f32; 2]| [column, row].iter().all(|&v| (from..to).contains(&(v as f32)));
+        match self.around[row * STRIDE + column] >> 10 & 1 {
+            _ if self.picture.is_some_and(within) => Ink::Picture,
+            0 => Ink::Black,
+            _ => Ink::White,
+        }
     }
 }
