@@ -19,10 +19,10 @@ const MOST_POINTS: usize = 256;
 pub const LEAST_SIDE_PX: f64 = 5.0;
 
 /// The quadrilateral whose outline the contour is; `None` when it is none. `area`: enclosed px²; `step`: pixels
-/// of the whole picture along one of the contour's.
-pub fn fit(contour: &[Crack], area: i64, step: u32, rectify: &Rectify) -> Option<Quad> {
+/// of the whole picture along one of the contour's; `origin`: where the contour's picture begins in it.
+pub fn fit(contour: &[Crack], area: i64, step: u32, origin: DVec2, rectify: &Rectify) -> Option<Quad> {
     let step = f64::from(step);
-    let shift = 0.5 * (step - 1.0);
+    let shift = origin + 0.5 * (step - 1.0);
     let area = area as f64 * step * step;
     if contour.len() < 16 {
         return None;
