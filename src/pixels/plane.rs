@@ -159,7 +159,8 @@ impl<'a, T: Copy> PlaneRef<'a, T> {
 
     /// The part `size` large whose first sample is at column `x`, row `y`; `None` when it reaches outside.
     pub fn part(&self, x: usize, y: usize, size: Size) -> Option<Self> {
-        let fits = |from: usize, len: usize, whole: usize| from.checked_add(len).is_some_and(|to| to <= whole);
+        let fits =
+            |from: usize, len: usize, whole: usize| from.checked_add(len).is_some_and(|to| to <= whole);
         if !(fits(x, size.width, self.size.width) && fits(y, size.height, self.size.height)) {
             return None;
         }
