@@ -1,6 +1,8 @@
 //! `vernissage bench`: time and error of every stage, side by side, with the machine's facts.
 
 mod coherence;
+pub mod markers;
+pub mod motion;
 mod plot;
 mod quality;
 mod steps;
@@ -93,6 +95,7 @@ impl Times {
     }
 }
 
+/// Runs what the arguments ask for.
 pub fn run(args: Args) -> anyhow::Result<()> {
     if args.coherence {
         return coherence::run(&args);

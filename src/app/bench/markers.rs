@@ -19,8 +19,11 @@ pub const SIDE_MM: f64 = 100.0;
 /// motion > 6 px; *medium* = the rest.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Difficulty {
+    /// Nothing is in the way.
     Easy,
+    /// The rest.
     Medium,
+    /// Something is near its limit.
     Hard,
 }
 
@@ -219,11 +222,8 @@ impl Setup {
     /// Speed set: 2-5 markers of 30-180 px, tilt below 60°; `kind` 0 calm (σ 2), 1 cluttered (σ 3), 2 noisy
     /// (σ 10).
     pub fn speed(rng: &mut SplitMix64, size: Size, family: Family, kind: usize) -> Self {
-        let (sigma, background) = [
-            (2.0, Background::Plain),
-            (3.0, Background::Clutter),
-            (10.0, Background::Texture),
-        ][kind % 3];
+        let (sigma, background) =
+            [(2.0, Background::Plain), (3.0, Background::Clutter), (10.0, Background::Texture)][kind % 3];
         let mut setup = Self {
             lens: random_lens(rng, size, false),
             family,
@@ -309,7 +309,8 @@ impl Setup {
         let blur = if let Blur::Gaussian(s) = self.blur { s } else { 0.0 };
         let of = |&(id, pose): &(u32, Pose)| {
             let corners = self.corners(&pose, 1.0)?;
-            let edge_px = (0..4).map(|i| (corners[(i + 1) % 4] - corners[i]).length()).fold(f64::MAX, f64::min);
+            let edge_px =
+                (0..4).map(|i| (corners[(i + 1) % 4] - corners[i]).length()).fold(f64::MAX, f64::min);
             let ray = pose.translation / pose.translation.length();
             let tilt_deg = libm::acos((-pose.rotation.z_axis.dot(ray)).clamp(-1.0, 1.0)) * 180.0 / PI;
             let center = (corners[0] + corners[1] + corners[2] + corners[3]) * 0.25;
@@ -367,8 +368,13 @@ impl Setup {
             for x in low.x.max(0.0) as usize..(high.x.max(0.0) as usize + 1).min(width) {
                 let at = DVec2::new(x as f64, y as f64);
                 let corner = |dx: f64, dy: f64| paper(at + DVec2::new(dx, dy));
-                let probes =
-                    [corner(-0.5, -0.5), corner(0.5, -0.5), corner(-0.5, 0.5), corner(0.5, 0.5), corner(0.0, 0.0)];
+                let probes = [
+                    corner(-0.5, -0.5),
+                    corner(0.5, -0.5),
+                    corner(-0.5, 0.5),
+                    corner(0.5, 0.5),
+                    corner(0.0, 0.0),
+                ];
                 let pixel = &mut frame[y * width + x];
                 if probes.iter().all(|ink| *ink == probes[0]) {
                     *pixel = probes[0].map_or(*pixel, |ink| ink as f32);
@@ -396,7 +402,8 @@ impl Setup {
                 let seed = rng.next_u64();
                 let at = |i: usize| {
                     let (x, y) = ((i % width) as f64, (i / width) as f64);
-                    let rough = smooth(x, y, 23.0, seed) + 0.5 * smooth(x, y, 9.0, seed + 1)
+                    let rough = smooth(x, y, 23.0, seed)
+                        + 0.5 * smooth(x, y, 9.0, seed + 1)
                         + 0.25 * smooth(x, y, 3.5, seed + 2);
                     (base + amplitude * (rough - 0.875)).clamp(5.0, 250.0) as f32
                 };
@@ -419,9 +426,7 @@ pub fn expose(clean: &[f32], size: Size, sigma: f64, rng: &mut SplitMix64) -> Pl
 fn smooth(x: f64, y: f64, cell: f64, seed: u64) -> f64 {
     let (x, y) = (x / cell, y / cell);
     let (i, j) = (x as u32, y as u32);
-    let at = |i: u32, j: u32| {
-        (crate::pixels::hash_noise(i, j, seed, 0) >> 40) as f64 / (1u64 << 24) as f64
-    };
+    let at = |i: u32, j: u32| (crate::pixels::hash_noise(i, j, seed, 0) >> 40) as f64 / (1u64 << 24) as f64;
     let (s, t) = (x - f64::from(i), y - f64::from(j));
     (at(i, j) * (1.0 - s) + at(i + 1, j) * s) * (1.0 - t)
         + (at(i, j + 1) * (1.0 - s) + at(i + 1, j + 1) * s) * t
@@ -445,13 +450,11 @@ fn clutter(rng: &mut SplitMix64, size: Size, base: f64) -> Vec<f32> {
         let reach = scaled(rng, 6.0, 120.0);
         let turn = rng.f64() * TAU;
         let (gray, other) = (between(rng, 10.0, 245.0), between(rng, 10.0, 245.0));
-        let place = Transform::from_rotate_at(
-            (turn * 180.0 / PI) as f32,
-            center.x as f32,
-            center.y as f32,
-        );
+        let place = Transform::from_rotate_at((turn * 180.0 / PI) as f32, center.x as f32, center.y as f32);
         let mut rect = |x: f64, y: f64, w: f64, h: f64, gray: f64| {
-            if let Some(rect) = Rect::from_xywh((center.x + x) as f32, (center.y + y) as f32, w as f32, h as f32) {
+            if let Some(rect) =
+                Rect::from_xywh((center.x + x) as f32, (center.y + y) as f32, w as f32, h as f32)
+            {
                 map.fill_rect(rect, &ink(gray), place, None);
             }
         };
@@ -493,7 +496,8 @@ fn clutter(rng: &mut SplitMix64, size: Size, base: f64) -> Vec<f32> {
                 for i in 0..corners {
                     let angle = (i as f64 + between(rng, -0.3, 0.3)) / corners as f64 * TAU;
                     let r = reach * between(rng, 0.4, 1.0);
-                    let (x, y) = ((center.x + r * libm::cos(angle)) as f32, (center.y + r * libm::sin(angle)) as f32);
+                    let (x, y) =
+                        ((center.x + r * libm::cos(angle)) as f32, (center.y + r * libm::sin(angle)) as f32);
                     if i == 0 { path.move_to(x, y) } else { path.line_to(x, y) }
                 }
                 path.close();
