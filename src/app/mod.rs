@@ -3,7 +3,7 @@
 //! Exit codes: 0 done; 1 the work failed; 2 bad usage or input. Errors are one line on stderr that names the
 //! thing and what to do.
 
-mod bench;
+pub mod bench;
 pub mod config;
 mod demo;
 mod detect;
