@@ -195,3 +195,105 @@ pub fn quantile(values: &[f64], q: f64) -> f64 {
     let last = sorted.len().saturating_sub(1);
     sorted.get((last as f64 * q) as usize).copied().unwrap_or(f64::NAN)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::frame::Solved;
+    use crate::geometry::Pose;
+    use crate::pixels::{Size, SplitMix64};
+    use glam::DMat3;
+
+    /// A frame's truth, and sightings that agree with it exactly.
+    fn exact() -> (Vec<Truth>, Vec<Sighting>) {
+        let mut rng = SplitMix64::new(4);
+        let truth = Setup::accuracy(&mut rng, Size::new(640, 480), Family::Tag36h11).truth();
+        assert!(truth.len() > 1);
+        let sighting = |truth: &Truth| Sighting {
+            family: Family::Tag36h11,
+            id: truth.id,
+            corners: truth.corners,
+            hamming: 0,
+            margin: 50.0,
+            pose: Some(Solved { pose: truth.pose, error_px: 0.0 }),
+            pose_alt: None,
+        };
+        let sightings = truth.iter().map(sighting).collect();
+        (truth, sightings)
+    }
+
+    fn tally(truth: &[Truth], sightings: &[Sighting]) -> (Class, usize) {
+        let mut tally = Tally::default();
+        tally.count(truth, sightings);
+        (tally.all(), tally.ghosts)
+    }
+
+    #[test]
+    fn what_is_right_wrong_and_missing_is_counted() {
+        let (truth, mut sightings) = exact();
+        let (all, ghosts) = tally(&truth, &sightings);
+        assert_eq!((all.found, all.posed, all.flipped, ghosts), (truth.len(), truth.len(), 0, 0));
+        assert!(all.corner_px.iter().chain(&all.distance_percent).all(|&error| error == 0.0));
+        // one corner 2 px off is the marker still; all 6 px off are another
+        sightings[0].corners[1].x += 2.0;
+        let (all, ghosts) = tally(&truth, &sightings);
+        assert_eq!((all.recall(), ghosts), (1.0, 0));
+        assert!((quantile(&all.corner_px, 1.0) - 2.0).abs() < 1e-9);
+        sightings[0].corners.iter_mut().for_each(|corner| corner.y += 6.0);
+        let (all, ghosts) = tally(&truth, &sightings);
+        assert_eq!((all.found, ghosts), (truth.len() - 1, 1));
+        let (all, ghosts) = tally(&[], &sightings);
+        assert!(all.recall().is_nan() && ghosts == sightings.len());
+    }
+
+    #[test]
+    fn a_flip_is_a_wrong_pose_with_a_better_one_beside_it() {
+        let (truth, mut sightings) = exact();
+        let turned = |degrees: f64| Solved {
+            pose: Pose {
+                rotation: truth[0].pose.rotation * DMat3::from_rotation_x(degrees.to_radians()),
+                ..truth[0].pose
+            },
+            error_px: 0.0,
+        };
+        let mut flips = |first: f64, second: Option<f64>| {
+            sightings[0].pose = Some(turned(first));
+            sightings[0].pose_alt = second.map(turned);
+            tally(&truth, &sightings).0.flipped
+        };
+        assert_eq!([flips(30.0, Some(1.0)), flips(30.0, Some(40.0)), flips(30.0, None)], [1, 0, 0]);
+        assert_eq!([flips(4.0, Some(1.0)), flips(1.0, Some(30.0))], [0, 0]);
+    }
+
+    #[test]
+    fn jitter_is_the_distance_from_the_mean() {
+        let at =
+            |x: f64| [DVec2::new(10.0 + x, 5.0), DVec2::new(20.0, 5.0 - 2.0 * x), DVec2::ONE, DVec2::ZERO];
+        let found = jitter(&[at(0.3), at(-0.3), at(0.3), at(-0.3)]);
+        for (found, expected) in found.into_iter().zip([0.3, 0.6, 0.0, 0.0]) {
+            assert!((found - expected).abs() < 1e-12);
+        }
+        assert_eq!(quantile(&[3.0, 1.0, 2.0], 0.5), 2.0);
+        assert!(quantile(&[], 0.5).is_nan());
+    }
+
+    #[test]
+    fn a_print_counts_for_every_family_that_has_its_squares() {
+        let mut rng = SplitMix64::new(2);
+        let setup = Setup::negative(&mut rng, Size::new(640, 480), Family::Aruco4x4_50, true);
+        let (id, pose) = setup.prints[0];
+        let place = setup.lens.project(pose.apply(DVec3::ZERO)).expect("in view");
+        let (_, sightings) = exact();
+        let seen = |family, id, shift: f64| Sighting {
+            family,
+            id,
+            corners: crate::track::solve::corners_mm(20.0).map(|p| place + DVec2::new(p.x + shift, -p.y)),
+            ..sightings[0]
+        };
+        assert!(stands(&setup, &seen(Family::Aruco4x4_50, id, 0.0)));
+        assert!(stands(&setup, &seen(Family::Aruco4x4_1000, id, 0.0)));
+        assert!(!stands(&setup, &seen(Family::Aruco4x4_50, id, 30.0)));
+        assert!(!stands(&setup, &seen(Family::Aruco4x4_50, id + 1, 0.0)));
+        assert!(!stands(&setup, &seen(Family::Aruco5x5_50, id, 0.0)));
+    }
+}
