@@ -56,6 +56,20 @@ pub struct Sighting {
     pub pose: Option<Solved>,
     /// The second minimum of the pose problem, where there is one.
     pub pose_alt: Option<Solved>,
+    /// How it comes to be known.
+    pub state: State,
+}
+
+/// How a sighting comes to be known.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum State {
+    /// Searched for and read in this picture.
+    #[default]
+    Found,
+    /// Known from the picture before, and seen again where it was expected.
+    Followed,
+    /// Not seen in this picture: where it would be if it kept moving.
+    Held,
 }
 
 /// A pose and how well it explains the corners.

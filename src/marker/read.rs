@@ -1,56 +1,87 @@
-//! Bits → code: the exact match by a sorted table, the nearest by a scan.
+//! Bits → code.
+//!
+//! Every code is held in its four orientations. Bits that differ from one in at most h places agree with it in at
+//! least one of h + 1 parts of the word (pigeonhole), so that only the few codes that share a part are compared.
 
 use super::{Family, Reading};
 use std::sync::OnceLock;
 
-/// Each family's codes turned to the least of their four orientations, sorted, with their ids.
-static LEAST: [OnceLock<Vec<(u64, u32)>>; Family::ALL.len()] = [const { OnceLock::new() }; Family::ALL.len()];
+/// What a family's codes are found by.
+#[derive(Debug)]
+struct Index {
+    /// Codes in every orientation: bits as read, id, rotation.
+    views: Vec<(u64, u32, u32)>,
+    /// Bits of a part.
+    width: u32,
+    /// For every part: where the views with each value of its bits begin in `order`.
+    begin: Vec<Vec<u32>>,
+    /// For every part: views sorted by the part's bits.
+    order: Vec<Vec<u32>>,
+}
+
+static INDEX: [OnceLock<Index>; Family::ALL.len()] = [const { OnceLock::new() }; Family::ALL.len()];
+
+/// Most bits of a part: bounds the tables.
+const MOST_WIDTH: u32 = 12;
+
+impl Index {
+    fn new(family: Family) -> Self {
+        let bits = (family.inner() * family.inner()) as u32;
+        let parts = family.max_hamming() + 1;
+        let width = (bits / parts).min(MOST_WIDTH);
+        let mut views = Vec::new();
+        for (id, &code) in (0u32..).zip(family.codes()) {
+            // the print turned once is read as the code turned once: rotation 3
+            for (turn, view) in (0u32..).zip(family.orientations(code)) {
+                views.push((view, id, (4 - turn) % 4));
+            }
+        }
+        let (mut begin, mut order) = (Vec::new(), Vec::new());
+        for part in 0..parts {
+            let value = |i: u32| Self::part(views[i as usize].0, part, width);
+            let mut sorted: Vec<u32> = (0..views.len() as u32).collect();
+            sorted.sort_by_key(|&i| value(i));
+            let first = |bits: usize| sorted.partition_point(|&i| value(i) < bits) as u32;
+            begin.push((0..=1usize << width).map(first).collect());
+            order.push(sorted);
+        }
+        Self { views, width, begin, order }
+    }
+
+    fn part(bits: u64, part: u32, width: u32) -> usize {
+        (bits >> (part * width)) as usize & ((1 << width) - 1)
+    }
+}
 
 impl Family {
     /// Finds the code nearest to bits read row by row from the read quad's first corner; `None` when every
     /// code differs in more than `max_hamming()` bits in each of the four orientations. Mirrored prints are
     /// never tried. Of codes equally near, the first.
     pub fn read(self, bits: u64) -> Option<Reading> {
-        let turned = self.orientations(bits);
-        let least = turned[0].min(turned[1]).min(turned[2].min(turned[3]));
-        let table = LEAST.get(self as usize)?.get_or_init(|| self.sorted());
-        if let Ok(place) = table.binary_search_by_key(&least, |&(code, _)| code) {
-            let id = table[place].1;
-            let code = self.codes()[id as usize];
-            let rotation = turned.iter().position(|view| *view == code)?;
-            return Some(Reading { id, rotation, hamming: 0 });
-        }
-        if self.max_hamming() > 0 { self.nearest(&turned) } else { None }
-    }
-
-    /// Sorts the family's codes, once, so that no later reading allocates.
-    pub fn prepare(self) {
-        if let Some(table) = LEAST.get(self as usize) {
-            table.get_or_init(|| self.sorted());
-        }
-    }
-
-    /// The nearest code by trying all.
-    fn nearest(self, turned: &[u64; 4]) -> Option<Reading> {
+        let index = INDEX.get(self as usize)?.get_or_init(|| Index::new(self));
         let mut best: Option<Reading> = None;
-        let mut bound = self.max_hamming();
-        for (id, code) in (0u32..).zip(self.codes()) {
-            for (rotation, view) in turned.iter().enumerate() {
-                let hamming = (code ^ view).count_ones();
-                if hamming < bound || (hamming == bound && best.is_none()) {
-                    best = Some(Reading { id, rotation, hamming });
-                    bound = hamming;
+        for part in 0..=self.max_hamming() {
+            let value = Index::part(bits, part, index.width);
+            let (begin, order) = (&index.begin[part as usize], &index.order[part as usize]);
+            for &i in &order[begin[value] as usize..begin[value + 1] as usize] {
+                let (view, id, rotation) = index.views[i as usize];
+                let reading =
+                    Reading { id, rotation: rotation as usize, hamming: (view ^ bits).count_ones() };
+                let key = |r: &Reading| (r.hamming, r.id, r.rotation);
+                if reading.hamming <= self.max_hamming() && best.is_none_or(|best| key(&reading) < key(&best))
+                {
+                    best = Some(reading);
                 }
             }
         }
         best
     }
 
-    fn sorted(self) -> Vec<(u64, u32)> {
-        let least = |&code: &u64| self.orientations(code).into_iter().min().unwrap_or(code);
-        let mut table: Vec<(u64, u32)> = self.codes().iter().map(least).zip(0..).collect();
-        table.sort_unstable();
-        table
+    /// Builds what [`Family::read`] looks up, once, so that no later reading allocates.
+    pub fn prepare(self) {
+        if let Some(index) = INDEX.get(self as usize) {
+            index.get_or_init(|| Index::new(self));
+        }
     }
 
     fn orientations(self, bits: u64) -> [u64; 4] {
@@ -129,7 +160,8 @@ mod tests {
             let codes = family.codes();
             assert_eq!(codes.len(), count);
             let bits = family.inner() * family.inner();
-            assert!(codes.iter().all(|code| code >> bits == 0));
+            // a plain square is nobody's code
+            assert!(codes.iter().all(|code| (1..(1 << bits) - 1).contains(code)));
             assert!(codes.iter().all(|&code| family.turn(family.orientations(code)[3]) == code));
             assert_eq!(distance(family), published, "{}", family.name());
             let wrong = family.max_hamming();
@@ -161,6 +193,19 @@ mod tests {
         }
     }
 
+    /// The nearest code by trying all: the reference.
+    fn nearest(family: Family, bits: u64) -> Option<Reading> {
+        let turned = family.orientations(bits);
+        let tries = (0u32..).zip(family.codes()).flat_map(|(id, code)| {
+            (0..4).map(move |rotation| Reading {
+                id,
+                rotation,
+                hamming: (code ^ turned[rotation]).count_ones(),
+            })
+        });
+        tries.filter(|r| r.hamming <= family.max_hamming()).min_by_key(|r| (r.hamming, r.id, r.rotation))
+    }
+
     /// The table finds what the plain scan finds, and random bits pass as often as `chance` says.
     #[test]
     fn random_bits_pass_as_rarely_as_promised() {
@@ -171,7 +216,7 @@ mod tests {
             for _ in 0..cases {
                 let view = rng.next_u64() >> (64 - bits);
                 let reading = family.read(view);
-                assert_eq!(reading, family.nearest(&family.orientations(view)));
+                assert_eq!(reading, nearest(family, view));
                 passed += usize::from(reading.is_some());
             }
             let expected = family.chance(family.max_hamming()) * cases as f64;

@@ -157,6 +157,16 @@ impl<'a, T: Copy> PlaneRef<'a, T> {
         self.row(y)[x]
     }
 
+    /// The part `size` large whose first sample is at column `x`, row `y`; `None` when it reaches outside.
+    pub fn part(&self, x: usize, y: usize, size: Size) -> Option<Self> {
+        let fits =
+            |from: usize, len: usize, whole: usize| from.checked_add(len).is_some_and(|to| to <= whole);
+        if !(fits(x, size.width, self.size.width) && fits(y, size.height, self.size.height)) {
+            return None;
+        }
+        Self::new(&self.data[(y * self.stride + x).min(self.data.len())..], size, self.stride)
+    }
+
     /// An owned, unpadded copy.
     pub fn to_plane(&self) -> Plane<T> {
         Plane::from_fn(self.size, |x, y| self.at(x, y))

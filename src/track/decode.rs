@@ -25,14 +25,20 @@ pub struct View<'a> {
     pub luma: PlaneRef<'a, u8>,
     /// Its lens.
     pub lens: &'a Lens,
+    distorted: bool,
 }
 
-impl View<'_> {
+impl<'a> View<'a> {
+    /// A picture, not empty, and its lens.
+    pub fn new(luma: PlaneRef<'a, u8>, lens: &'a Lens) -> Self {
+        Self { luma, lens, distorted: lens.is_distorted() }
+    }
+
     /// Bilinear gray value at an ideal point, 0..255, clamped to the picture's border.
     #[inline]
     pub fn gray(&self, ideal: DVec2) -> f64 {
         let size = self.luma.size();
-        let p = rectify::seen(self.lens, ideal);
+        let p = if self.distorted { rectify::seen(self.lens, ideal) } else { ideal };
         // `max` also turns NaN into 0
         let x = p.x.max(0.0).min((size.width - 1) as f64);
         let y = p.y.max(0.0).min((size.height - 1) as f64);
@@ -102,6 +108,9 @@ impl Evidence {
     }
 }
 
+/// Larger quads are not tried again a little grown or shrunk.
+const MOST_SMALL_PX: f64 = 40.0;
+
 /// Reads the quad as a marker of `family`, a family with codes.
 pub fn decode(view: &View<'_>, quad: &Quad, family: Family, polarity: Polarity) -> Option<Decoded> {
     let plain = attempt(view, quad, family, polarity)?;
@@ -110,6 +119,9 @@ pub fn decode(view: &View<'_>, quad: &Quad, family: Family, polarity: Polarity) 
     }
     // an outline half a pixel off loses the smallest markers' bits
     let side = super::quad::area(quad).max(0.0).sqrt();
+    if side > MOST_SMALL_PX {
+        return None;
+    }
     for grow in [0.5, -0.5] {
         let scaled = resized(quad, 1.0 + 2.0 * grow / side);
         if let Some(Some(found)) = attempt(view, &scaled, family, polarity) {
@@ -185,12 +197,19 @@ fn attempt(view: &View<'_>, quad: &Quad, family: Family, polarity: Polarity) -> 
     if ring.dark < least.dark || ring.light < least.light {
         return None;
     }
-    let code = Code { view, map: &map, family, ring: &ring, polarity };
+    let cell_px = super::quad::area(quad).max(0.0).sqrt() / cells as f64;
+    let code = Code { view, map: &map, family, ring: &ring, polarity, cell_px };
     let soft = code.soft();
+    let mut before = None;
     for sharpen in [0.0, 0.25] {
         let (bits, clarity) = harden(&soft, family.inner(), sharpen);
-        if clarity < least.clarity {
+        if clarity < least.clarity || before == Some(bits) {
             continue;
+        }
+        before = Some(bits);
+        if bits == 0 || bits + 1 == 1 << (family.inner() * family.inner()) {
+            // a plain square
+            return None;
         }
         if let Some(reading) = family.read(bits) {
             let least = Evidence::of(family, reading.hamming);
@@ -203,6 +222,9 @@ fn attempt(view: &View<'_>, quad: &Quad, family: Family, polarity: Polarity) -> 
     Some(None)
 }
 
+/// Cells narrower than this are read at their centers alone.
+const LEAST_CELL_PX: f64 = 3.0;
+
 /// Most bits along a side.
 const MOST_BITS: usize = 7;
 
@@ -213,6 +235,7 @@ struct Code<'a> {
     family: Family,
     ring: &'a Ring,
     polarity: Polarity,
+    cell_px: f64,
 }
 
 impl Code<'_> {
@@ -230,11 +253,12 @@ impl Code<'_> {
         let inner = self.family.inner();
         let mut soft = [[0.0; MOST_BITS]; MOST_BITS];
         // four taps about the center calm the noise of cells that have the pixels for it
-        let taps = [(0.33, 0.67), (0.67, 0.67), (0.33, 0.33), (0.67, 0.33)];
+        let four = [(0.33, 0.67), (0.67, 0.67), (0.33, 0.33), (0.67, 0.33)];
+        let taps = if self.cell_px < LEAST_CELL_PX { &[(0.5, 0.5)][..] } else { &four };
         for (row, line) in soft[..inner].iter_mut().enumerate() {
             for (column, value) in line[..inner].iter_mut().enumerate() {
-                *value =
-                    taps.iter().map(|&(x, y)| self.at(column as f64 + x, row as f64 + y)).sum::<f64>() * 0.25;
+                *value = taps.iter().map(|&(x, y)| self.at(column as f64 + x, row as f64 + y)).sum::<f64>()
+                    / taps.len() as f64;
             }
         }
         soft
@@ -353,7 +377,7 @@ mod tests {
         let mut rng = SplitMix64::new(8);
         let noise = Plane::from_fn(Size::new(160, 120), |_, _| rng.next_u64() as u8);
         let lens = Lens::guess(noise.size());
-        let view = View { luma: noise.view(), lens: &lens };
+        let view = View::new(noise.view(), &lens);
         let mut read = 0;
         for case in 0..100_000usize {
             let spread = [3.0, 40.0, 200.0, 1e7][case % 4];
@@ -384,13 +408,8 @@ mod tests {
             let lens = Lens::guess(plane.size());
             for turn in 0..4 {
                 let turned = [0, 1, 2, 3].map(|i| quad[(i + turn) % 4]);
-                let found = decode(
-                    &View { luma: plane.view(), lens: &lens },
-                    &turned,
-                    family,
-                    Polarity::BlackOnWhite,
-                )
-                .expect("read");
+                let found = decode(&View::new(plane.view(), &lens), &turned, family, Polarity::BlackOnWhite)
+                    .expect("read");
                 assert_eq!((found.reading.id, found.reading.hamming), (17, 0));
                 assert_eq!(found.quad, quad);
                 assert!((found.black.mean - 40.0).abs() < 1.0 && (found.white.mean - 167.0).abs() < 1.0);
@@ -409,7 +428,7 @@ mod tests {
             let (low, high) = (zoom as f64 - 0.5, (side - zoom) as f64 - 0.5);
             let quad = [(low, low), (high, low), (high, high), (low, high)].map(|(x, y)| DVec2::new(x, y));
             let lens = Lens::guess(plane.size());
-            let view = View { luma: plane.view(), lens: &lens };
+            let view = View::new(plane.view(), &lens);
             let found = decode(&view, &quad, family, Polarity::WhiteOnBlack).expect("read");
             assert_eq!((found.reading.id, found.quad), (id, quad));
             assert!((found.black.mean - 157.0).abs() < 1.0 && (found.white.mean - 30.0).abs() < 1.0);

@@ -12,6 +12,8 @@
 mod align;
 mod contour;
 mod decode;
+mod filter;
+mod follow;
 mod quad;
 mod rectify;
 mod ring;
@@ -20,11 +22,12 @@ mod segment;
 pub mod solve;
 mod threshold;
 
-use crate::frame::Sighting;
+use crate::frame::{Sighting, Solved, State};
 use crate::geometry::Lens;
 use crate::marker::{Family, Patterns, Polarity};
 use crate::pixels::{Plane, PlaneRef, simd::Level};
 use decode::{Decoded, View};
+use follow::Follow;
 use glam::DVec2;
 use quad::Quad;
 use rayon::prelude::*;
@@ -38,6 +41,10 @@ pub const MOST_SIDE_PX: usize = 16_000;
 
 /// Smaller markers found in the halved picture are looked for in the whole one too: half a pixel matters there.
 const LEAST_KNOWN_PX: f64 = 48.0;
+
+/// Squared deviations (two degrees of freedom) by which four corners may miss those of a rigid square by chance and
+/// by a little bend or blur that is not modeled; lenses that are not known miss by more.
+const RIGID: f64 = 50.0;
 
 /// Settings of the tracker.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -55,12 +62,40 @@ pub struct Config {
     /// Whether corners are aligned to the whole print (sub-pixel accuracy) or left as the outline gave them.
     /// Default true.
     pub align: bool,
+    /// How much is done to find the hardest markers. Default `normal`.
+    pub quality: Quality,
+    /// Whether markers printed white on black are looked for as well. Default false.
+    pub inverted: bool,
+    /// How long a followed marker that is out of sight is still reported where it would be, ms (0..=2000).
+    /// Default 200.
+    pub hold_ms: u32,
 }
 
 impl Default for Config {
     fn default() -> Self {
-        Self { least_side_px: 10, least_contrast: 6, most_candidates: 1500, align: true }
+        Self {
+            least_side_px: 10,
+            least_contrast: 6,
+            most_candidates: 1500,
+            align: true,
+            quality: Quality::Normal,
+            inverted: false,
+            hold_ms: 200,
+        }
     }
+}
+
+/// How much is done to find the hardest markers.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Quality {
+    /// Only the picture at half size: markers of about 24 px and more, a third of the time.
+    Quick,
+    /// The picture at half and at full size.
+    #[default]
+    Normal,
+    /// At a quarter too, with fainter edges and every doubtful outline tried: markers deep in noise or blur.
+    Full,
 }
 
 /// A marker, or a whole family, that the scene wants found.
@@ -78,6 +113,7 @@ pub struct Wanted {
 #[derive(Clone, Copy, Debug)]
 struct Candidate {
     quad: Quad,
+    polarity: Polarity,
     found: Option<Decoded>,
 }
 
@@ -90,11 +126,15 @@ pub struct Tracker {
     whole: Search,
     half: Search,
     halved: Plane<u8>,
+    quarter: Search,
+    quartered: Plane<u8>,
+    inverse: Plane<u8>,
     rectify: Rectify,
     candidates: Vec<Candidate>,
     decoded: Vec<Decoded>,
     known: Vec<[DVec2; 2]>,
     sightings: Vec<Sighting>,
+    follow: Follow,
 }
 
 impl Tracker {
@@ -107,11 +147,15 @@ impl Tracker {
             whole: Search::default(),
             half: Search::default(),
             halved: Plane::default(),
+            quarter: Search::default(),
+            quartered: Plane::default(),
+            inverse: Plane::default(),
             rectify: Rectify::default(),
             candidates: Vec::new(),
             decoded: Vec::new(),
             known: Vec::new(),
             sightings: Vec::new(),
+            follow: Follow::default(),
         }
     }
 
@@ -128,48 +172,12 @@ impl Tracker {
     /// fuller than any before.
     pub fn find(&mut self, luma: PlaneRef<'_, u8>, lens: &Lens, wanted: &[Wanted]) -> &[Sighting] {
         self.sightings.clear();
-        let size = luma.size();
-        let usable = size.width.min(size.height) >= 8 && size.width.max(size.height) <= MOST_SIDE_PX;
-        let finite = lens.focal.is_finite() && lens.center.is_finite() && lens.focal.min_element() > 0.0;
-        if !usable || !finite || wanted.is_empty() {
+        if !self.prepare(luma, lens, wanted) {
             return &self.sightings;
         }
-        wanted.iter().for_each(|w| w.family.prepare());
-        self.rectify.prepare(lens, size);
-        let limits = Limits {
-            least_side_px: self.config.least_side_px.max(8),
-            least_contrast: self.config.least_contrast.clamp(1, 60),
-            most: self.config.most_candidates,
-            step: 1,
-        };
-        // the halved picture first: it is a quarter of the work, finds what noise hides in the whole one, and
-        // spares that one the large markers
-        let view = View { luma, lens };
-        let patterns = &self.patterns;
-        search::halve(luma, &mut self.halved, self.level);
-        self.decoded.clear();
-        self.known.clear();
-        for step in [2, 1] {
-            let limits = Limits { step, ..limits };
-            let (search, picture) = match step {
-                1 => (&mut self.whole, luma),
-                _ => (&mut self.half, self.halved.view()),
-            };
-            let quads = search.quads(picture, &self.rectify, limits, &self.known, self.level);
-            self.candidates.clear();
-            self.candidates.extend(quads.iter().map(|&quad| Candidate { quad, found: None }));
-            self.candidates.par_iter_mut().with_min_len(4).for_each(|candidate| {
-                candidate.found = read(&view, &candidate.quad, wanted, patterns);
-            });
-            self.decoded.extend(self.candidates.iter().filter_map(|c| c.found));
-            self.known.extend(
-                self.decoded
-                    .iter()
-                    .map(|found| bounds(&found.quad.map(|p| rectify::seen(lens, p))))
-                    .filter(|[low, high]| (*high - *low).max_element() >= LEAST_KNOWN_PX),
-            );
-        }
+        self.search(luma, lens, wanted);
         keep_best(&mut self.decoded);
+        let view = View::new(luma, lens);
         let (rectify, align, level) = (&self.rectify, self.config.align, self.level);
         self.sightings.par_extend(
             self.decoded
@@ -178,12 +186,91 @@ impl Tracker {
         );
         &self.sightings
     }
+
+    /// Whether there is anything to look at and for; the lens's table is ready then.
+    fn prepare(&mut self, luma: PlaneRef<'_, u8>, lens: &Lens, wanted: &[Wanted]) -> bool {
+        let size = luma.size();
+        let usable = size.width.min(size.height) >= 8 && size.width.max(size.height) <= MOST_SIDE_PX;
+        let finite = lens.focal.is_finite() && lens.center.is_finite() && lens.focal.min_element() > 0.0;
+        if !usable || !finite || wanted.is_empty() {
+            return false;
+        }
+        wanted.iter().for_each(|w| w.family.prepare());
+        self.rectify.prepare(lens, size);
+        true
+    }
+
+    fn limits(&self) -> Limits {
+        Limits {
+            least_side_px: self.config.least_side_px.max(8),
+            least_contrast: self.config.least_contrast.clamp(1, 60),
+            most: self.config.most_candidates,
+            step: 1,
+            origin: DVec2::ZERO,
+        }
+    }
+
+    /// Reads every marker in the picture.
+    fn search(&mut self, luma: PlaneRef<'_, u8>, lens: &Lens, wanted: &[Wanted]) {
+        let limits = self.limits();
+        let steps: &[u32] = match self.config.quality {
+            Quality::Quick => &[2],
+            Quality::Normal => &[2, 1],
+            Quality::Full => &[4, 2, 1],
+        };
+        let view = View::new(luma, lens);
+        let patterns = &self.patterns;
+        search::halve(luma, &mut self.halved, self.level);
+        if steps.contains(&4) {
+            search::halve(self.halved.view(), &mut self.quartered, self.level);
+        }
+        self.decoded.clear();
+        self.known.clear();
+        // the smaller pictures first: they are little work, show what noise hides in the whole one, and spare that
+        // one the large markers
+        for &step in steps {
+            let limits = Limits { step, ..limits };
+            let (search, picture) = match step {
+                1 => (&mut self.whole, luma),
+                2 => (&mut self.half, self.halved.view()),
+                _ => (&mut self.quarter, self.quartered.view()),
+            };
+            self.candidates.clear();
+            let quads = search.quads(picture, &self.rectify, limits, &self.known, self.level);
+            let polarity = Polarity::BlackOnWhite;
+            self.candidates.extend(quads.iter().map(|&quad| Candidate { quad, polarity, found: None }));
+            if self.config.inverted {
+                search::invert(picture, &mut self.inverse);
+                let quads = search.quads(self.inverse.view(), &self.rectify, limits, &self.known, self.level);
+                let polarity = Polarity::WhiteOnBlack;
+                self.candidates.extend(quads.iter().map(|&quad| Candidate { quad, polarity, found: None }));
+            }
+            self.candidates.par_iter_mut().with_min_len(4).for_each(|candidate| {
+                candidate.found = read(&view, &candidate.quad, candidate.polarity, wanted, patterns);
+            });
+            self.decoded.extend(self.candidates.iter().filter_map(|c| c.found));
+            // what was read, and what was seen to be no marker
+            self.known.extend(
+                self.candidates
+                    .iter()
+                    .map(|candidate| bounds(&candidate.quad.map(|p| rectify::seen(lens, p))))
+                    .filter(|[low, high]| {
+                        (*high - *low).max_element() >= LEAST_KNOWN_PX * f64::from(step / 2)
+                    }),
+            );
+        }
+    }
 }
 
 /// Reads the quad as one of the wanted families, the clearest reading if several fit; as a picture only where
 /// no code is read.
-fn read(view: &View<'_>, quad: &quad::Quad, wanted: &[Wanted], patterns: &Patterns) -> Option<Decoded> {
-    let polarity = Polarity::BlackOnWhite;
+fn read(
+    view: &View<'_>,
+    quad: &Quad,
+    polarity: Polarity,
+    wanted: &[Wanted],
+    patterns: &Patterns,
+) -> Option<Decoded> {
     let mut best: Option<Decoded> = None;
     for family in Family::ALL {
         if !wanted.iter().any(|w| w.family == family) {
@@ -226,13 +313,33 @@ fn sight(view: &View<'_>, found: &Decoded, wanted: &[Wanted], align: Option<(&Re
         quad: found.quad,
         inks: [found.black, found.white],
         blur: None,
+        doubt_px: 0.0,
         most: align::MOST_SAMPLES,
     };
     let aligned = align.and_then(|(rectify, level)| align::align(view, &start, rectify, level));
-    let quad = aligned.map_or(found.quad, |aligned| aligned.quad);
+    let mut quad = aligned.map_or(found.quad, |aligned| aligned.quad);
+    let wanted = wish(wanted, found.family, found.reading.id);
+    let side_mm = wanted.map(|w| w.side_mm).filter(|side| side.is_finite() && *side > 0.0);
+    let (mut pose, mut pose_alt) = (None, None);
+    match (side_mm, aligned) {
+        (Some(side_mm), Some(aligned)) => {
+            let ideal = Lens { distortion: [0.0; 8], ..*view.lens };
+            let minima = solve::minima(&quad, &aligned.information, side_mm, &ideal);
+            [pose, pose_alt] = minima.map(|m| m.map(|m| Solved { pose: m.pose, error_px: m.error_px }));
+            // where the picture agrees that the print is a rigid square, its corners are that square's
+            if let Some(best) = minima[0].filter(|best| best.cost < RIGID)
+                && let Some(corners) = best.corners(side_mm, &ideal)
+            {
+                quad = corners;
+            }
+        }
+        (Some(side_mm), None) => {
+            let seen = quad.map(|p| rectify::seen(view.lens, p));
+            (pose, pose_alt) = solve::solve(&seen, side_mm, view.lens);
+        }
+        (None, _) => {}
+    }
     let corners = quad.map(|p| rectify::seen(view.lens, p));
-    let side_mm = wish(wanted, found.family, found.reading.id).map_or(f64::NAN, |w| w.side_mm);
-    let (pose, pose_alt) = solve::solve(&corners, side_mm, view.lens);
     Sighting {
         family: found.family,
         id: found.reading.id,
@@ -241,6 +348,7 @@ fn sight(view: &View<'_>, found: &Decoded, wanted: &[Wanted], align: Option<(&Re
         margin: found.margin as f32,
         pose,
         pose_alt,
+        state: State::Found,
     }
 }
 

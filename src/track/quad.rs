@@ -19,10 +19,10 @@ const MOST_POINTS: usize = 256;
 pub const LEAST_SIDE_PX: f64 = 5.0;
 
 /// The quadrilateral whose outline the contour is; `None` when it is none. `area`: enclosed px²; `step`: pixels
-/// of the whole picture along one of the contour's.
-pub fn fit(contour: &[Crack], area: i64, step: u32, rectify: &Rectify) -> Option<Quad> {
+/// of the whole picture along one of the contour's; `origin`: where the contour's picture begins in it.
+pub fn fit(contour: &[Crack], area: i64, step: u32, origin: DVec2, rectify: &Rectify) -> Option<Quad> {
     let step = f64::from(step);
-    let shift = 0.5 * (step - 1.0);
+    let shift = origin + 0.5 * (step - 1.0);
     let area = area as f64 * step * step;
     if contour.len() < 16 {
         return None;
@@ -68,7 +68,7 @@ pub fn fit(contour: &[Crack], area: i64, step: u32, rectify: &Rectify) -> Option
     }
 
     let mut quad = [DVec2::ZERO; 4];
-    for pass in 0..3 {
+    for pass in 0..2 {
         let mut lines = [Line::default(); 4];
         for (side, line) in lines.iter_mut().enumerate() {
             let from = corners[side];
@@ -79,22 +79,25 @@ pub fn fit(contour: &[Crack], area: i64, step: u32, rectify: &Rectify) -> Option
                 return None;
             }
             *line = Line::through((from + margin..=to - margin).map(at))?;
-            if pass > 0 {
+            let length = (at(to) - at(from)).length();
+            if line.rms > 2.0 * step + 0.02 * length {
+                return None;
+            }
+            if pass == 1 && line.rms > 0.4 * step {
                 // dents and bumps: once more without the points far off
                 let old = *line;
                 let reach = (2.0 * old.rms).max(0.7 * step);
                 let near = (from + margin..=to - margin).map(at).filter(|&p| old.distance(p).abs() <= reach);
                 *line = Line::through(near)?;
-                let length = (at(to) - at(from)).length();
-                if line.rms > 0.7 * step + 0.005 * length {
-                    return None;
-                }
+            }
+            if pass == 1 && line.rms > 0.7 * step + 0.005 * length {
+                return None;
             }
         }
         for side in 0..4 {
             quad[(side + 1) % 4] = lines[side].intersection(&lines[(side + 1) % 4])?;
         }
-        if pass < 2 {
+        if pass == 0 {
             for (corner, index) in quad.iter().zip(&mut corners) {
                 *index = nearest(*index, count, |i| (at(i) - *corner).length_squared());
             }
@@ -142,7 +145,7 @@ fn farthest(range: std::ops::Range<usize>, value: impl Fn(usize) -> f64) -> Opti
 /// The contour index of least value near `start`: the corner moved by a few points, so a walk downhill finds it.
 fn nearest(start: usize, count: usize, value: impl Fn(usize) -> f64) -> usize {
     let mut best = (start, value(start));
-    for offset in 1..=12 {
+    for offset in 1..=8 {
         for i in [(start + offset) % count, (start + count - offset) % count] {
             let v = value(i);
             if v < best.1 {
@@ -167,29 +170,24 @@ pub struct Line {
 impl Line {
     /// Total least squares through points; `None` for fewer than 3 or when something is not finite.
     pub fn through(points: impl Iterator<Item = DVec2>) -> Option<Self> {
-        Self::weighted(points.map(|p| (p, 1.0)))
-    }
-
-    /// The same with weights.
-    pub fn weighted(points: impl Iterator<Item = (DVec2, f64)>) -> Option<Self> {
-        let (mut count, mut n, mut s, mut origin) = (0, 0.0, DVec2::ZERO, DVec2::ZERO);
+        let (mut count, mut s, mut origin) = (0u32, DVec2::ZERO, DVec2::ZERO);
         let (mut xx, mut xy, mut yy) = (0.0, 0.0, 0.0);
-        for (p, weight) in points {
+        for p in points {
             if count == 0 {
                 origin = p;
             }
             // relative to the first point the squares stay small
             let p = p - origin;
             count += 1;
-            n += weight;
-            s += p * weight;
-            xx += p.x * p.x * weight;
-            xy += p.x * p.y * weight;
-            yy += p.y * p.y * weight;
+            s += p;
+            xx += p.x * p.x;
+            xy += p.x * p.y;
+            yy += p.y * p.y;
         }
-        if count < 3 || n <= 0.0 {
+        if count < 3 {
             return None;
         }
+        let n = f64::from(count);
         let mean = s / n;
         let (xx, xy, yy) = (xx / n - mean.x * mean.x, xy / n - mean.x * mean.y, yy / n - mean.y * mean.y);
         // smallest eigenvalue of the scatter and its vector

@@ -65,6 +65,9 @@ impl Ring {
     /// a side. `None` when the inner one is not darker by far.
     pub fn read(view: &View<'_>, map: &Homography, cells: usize, polarity: Polarity) -> Option<Self> {
         let half = 1.0 / cells as f64;
+        if !may_be(view, map, half, polarity) {
+            return None;
+        }
         let (black, inside) = sample(view, map, cells, 1.0 - half, polarity);
         let (white, outside) = sample(view, map, cells, 1.0 + half, polarity);
         if white.mean - black.mean < LEAST_CONTRAST {
@@ -89,6 +92,30 @@ impl Ring {
         let (black, white) = (self.black.at(p), self.white.at(p));
         (gray - 0.5 * (black + white)) / (0.5 * (white - black)).max(1.0)
     }
+}
+
+/// A quick look at eight places on either ring: whether the outer one may be lighter.
+fn may_be(view: &View<'_>, map: &Homography, half: f64, polarity: Polarity) -> bool {
+    let at = |x: f64, y: f64| polarity.gray(view.gray(map.apply(DVec2::new(x, y))));
+    let (mut step, mut lighter) = (0.0, 0);
+    for (x, y) in [
+        (-0.3, 1.0),
+        (0.6, 1.0),
+        (1.0, -0.3),
+        (1.0, 0.6),
+        (0.3, -1.0),
+        (-0.6, -1.0),
+        (-1.0, 0.3),
+        (-1.0, -0.6),
+    ] {
+        // the larger coordinate is the ring's
+        let on = |v: f64, radius: f64| if v.abs() == 1.0 { v * radius } else { v };
+        let (inner, outer) = (1.0 - half, 1.0 + half);
+        let rise = at(on(x, outer), on(y, outer)) - at(on(x, inner), on(y, inner));
+        step += rise;
+        lighter += u32::from(rise > 0.0);
+    }
+    step >= 8.0 * 0.5 * LEAST_CONTRAST && lighter >= 5
 }
 
 /// Gray at the middles of the cells along the four sides of the square ±radius, and the plane through them.

@@ -45,6 +45,8 @@ pub struct Limits {
     pub most: usize,
     /// Pixels of the whole picture along one of the searched picture's: 1 or 2.
     pub step: u32,
+    /// Where the searched picture begins in the whole one, px.
+    pub origin: DVec2,
 }
 
 impl Search {
@@ -70,7 +72,7 @@ impl Search {
         self.outlines.clear();
         for &i in &self.order {
             let blob = &blobs[i as usize];
-            if known.iter().any(|known| covers(known, blob, limits.step)) {
+            if known.iter().any(|known| covers(known, blob, limits)) {
                 continue;
             }
             let from = self.contours.len();
@@ -86,7 +88,7 @@ impl Search {
         let contours = &self.contours;
         self.outlines.par_iter_mut().with_min_len(8).for_each(|outline| {
             let contour = &contours[outline.from..outline.to];
-            outline.quad = quad::fit(contour, outline.area, limits.step, rectify);
+            outline.quad = quad::fit(contour, outline.area, limits.step, limits.origin, rectify);
         });
         self.quads.clear();
         self.quads.extend(self.outlines.iter().filter_map(|o| o.quad));
@@ -100,12 +102,12 @@ impl Search {
 }
 
 /// Whether the blob is, by its box, the border of a marker already read.
-fn covers(known: &[DVec2; 2], blob: &Blob, step: u32) -> bool {
-    let step = f64::from(step);
+fn covers(known: &[DVec2; 2], blob: &Blob, limits: Limits) -> bool {
+    let step = f64::from(limits.step);
     let mut apart = 0.0f64;
     for axis in 0..2 {
-        let low_blob = (f64::from(blob.low[axis]) - 0.5) * step;
-        let high_blob = (f64::from(blob.high[axis]) + 0.5) * step;
+        let low_blob = limits.origin[axis] + (f64::from(blob.low[axis]) - 0.5) * step;
+        let high_blob = limits.origin[axis] + (f64::from(blob.high[axis]) + 0.5) * step;
         apart = apart.max((known[0][axis] - low_blob).abs()).max((known[1][axis] - high_blob).abs());
     }
     apart < 3.0
@@ -122,6 +124,16 @@ pub fn halve(luma: PlaneRef<'_, u8>, half: &mut Plane<u8>, level: Level) {
             dispatch!(level, simd => mean(simd, above, below, out));
         }
     });
+}
+
+/// The negative of a picture.
+pub fn invert(luma: PlaneRef<'_, u8>, inverse: &mut Plane<u8>) {
+    inverse.resize(luma.size(), 0);
+    for y in 0..luma.size().height {
+        for (out, gray) in inverse.row_mut(y).iter_mut().zip(luma.row(y)) {
+            *out = 255 - gray;
+        }
+    }
 }
 
 /// Rows of a halved picture that a task takes.

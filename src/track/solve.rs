@@ -12,6 +12,58 @@ use glam::{DMat2, DMat3, DVec2, DVec3};
 const STEPS: usize = 20;
 /// Two poses closer than this, in radians, are one.
 const SAME_RAD: f64 = 2e-3;
+/// Gain below which nothing is left to gain: of the cost, and at all.
+const ENOUGH: [f64; 2] = [1e-12, 1e-24];
+/// The same where the cost counts deviations.
+const ENOUGH_DEVIATIONS: [f64; 2] = [1e-6, 1e-4];
+
+/// Inverse covariance of the corners (x0 y0 x1 ... y3), all of it.
+pub type Weights = [[f64; 8]; 8];
+
+/// One minimum of the pose problem as corners of known covariance see it.
+#[derive(Clone, Copy, Debug)]
+pub struct Minimum {
+    /// Marker → camera.
+    pub pose: Pose,
+    /// Root mean square reprojection error, px.
+    pub error_px: f64,
+    /// Squared reprojection error in units of the corners' deviations: 2 on average where the pose is right.
+    pub cost: f64,
+    /// Inverse covariance of the pose: a turn left of the rotation, a shift in sides.
+    pub information: [[f64; 6]; 6],
+}
+
+impl Minimum {
+    /// Where this pose puts the corners, ideal pixels; `None` behind the camera.
+    pub fn corners(&self, side: f64, lens: &Lens) -> Option<[DVec2; 4]> {
+        let mut out = [DVec2::ZERO; 4];
+        for (px, mm) in out.iter_mut().zip(corners_mm(side)) {
+            *px = lens.project(self.pose.apply(mm))?;
+        }
+        Some(out)
+    }
+}
+
+/// Both minima, the cheaper first, for corners in ideal pixels (`lens` without distortion) of known covariance.
+pub fn minima(corners: &[DVec2; 4], weights: &Weights, side: f64, lens: &Lens) -> [Option<Minimum>; 2] {
+    let Some(starts) = ippe(corners, side, lens) else { return [None; 2] };
+    let [first, second] = starts.map(|start| {
+        let pose = descend(start, corners, Some(weights), side, lens)?;
+        let print = corners_mm(side);
+        let (information, _) = equations(&pose, corners, Some(weights), &print, lens)?;
+        let cost = |weights| cost(&pose, corners, weights, &print, lens);
+        let error_px = (cost(None) * 0.25).sqrt();
+        Some(Minimum { pose, error_px, cost: cost(Some(weights)), information })
+    });
+    match (first, second) {
+        (Some(a), Some(b)) => {
+            let (best, other) = if b.cost < a.cost { (b, a) } else { (a, b) };
+            let distinct = best.pose.angle_to(&other.pose) > SAME_RAD;
+            [Some(best), distinct.then_some(other)]
+        }
+        (one, other) => [one.or(other), None],
+    }
+}
 
 /// Solves the pose of a square marker from its four corners.
 ///
@@ -108,29 +160,54 @@ fn orthonormal(m: DMat3) -> Option<DMat3> {
     m.is_finite().then_some(m)
 }
 
-/// Sum of squared reprojection errors, px²; infinite behind the camera.
-fn cost(pose: &Pose, corners_px: &[DVec2; 4], print: &[DVec3; 4], lens: &Lens) -> f64 {
-    let mut sum = 0.0;
-    for (corner, point) in corners_px.iter().zip(print) {
-        match lens.project(pose.apply(*point)) {
-            Some(px) => sum += (px - *corner).length_squared(),
-            None => return f64::INFINITY,
-        }
+/// Squared reprojection error, px² or deviations; infinite behind the camera.
+fn cost(
+    pose: &Pose,
+    corners_px: &[DVec2; 4],
+    weights: Option<&Weights>,
+    print: &[DVec3; 4],
+    lens: &Lens,
+) -> f64 {
+    let mut miss = [0.0; 8];
+    for (i, (corner, point)) in corners_px.iter().zip(print).enumerate() {
+        let Some(px) = lens.project(pose.apply(*point)) else { return f64::INFINITY };
+        (miss[2 * i], miss[2 * i + 1]) = (corner.x - px.x, corner.y - px.y);
     }
-    sum
+    match weights {
+        None => miss.iter().map(|v| v * v).sum(),
+        Some(weights) => weights.iter().zip(&miss).map(|(row, v)| v * dot(row, &miss)).sum(),
+    }
+}
+
+fn dot(a: &[f64; 8], b: &[f64; 8]) -> f64 {
+    (0..8).map(|i| a[i] * b[i]).sum()
+}
+
+/// Levenberg-Marquardt on the plain reprojection error.
+fn refine(start: Pose, corners_px: &[DVec2; 4], side_mm: f64, lens: &Lens) -> Option<Solved> {
+    let pose = descend(start, corners_px, None, side_mm, lens)?;
+    let error_px = (cost(&pose, corners_px, None, &corners_mm(side_mm), lens) * 0.25).sqrt();
+    error_px.is_finite().then_some(Solved { pose, error_px })
 }
 
 /// Levenberg-Marquardt from a start; `None` when it does not end in a finite pose before the camera.
-fn refine(start: Pose, corners_px: &[DVec2; 4], side_mm: f64, lens: &Lens) -> Option<Solved> {
+fn descend(
+    start: Pose,
+    corners_px: &[DVec2; 4],
+    weights: Option<&Weights>,
+    side_mm: f64,
+    lens: &Lens,
+) -> Option<Pose> {
     let print = corners_mm(side_mm);
     let mut pose = start;
-    let mut now = cost(&pose, corners_px, &print, lens);
+    let mut now = cost(&pose, corners_px, weights, &print, lens);
     if !now.is_finite() {
         return None;
     }
+    let [part, least] = if weights.is_some() { ENOUGH_DEVIATIONS } else { ENOUGH };
     let mut damping = 1e-4;
     for _ in 0..STEPS {
-        let Some((a, b)) = equations(&pose, corners_px, &print, lens) else { break };
+        let Some((a, b)) = equations(&pose, corners_px, weights, &print, lens) else { break };
         let mut damped = a;
         for (i, row) in damped.iter_mut().enumerate() {
             row[i] += damping * row[i] + 1e-300;
@@ -140,12 +217,12 @@ fn refine(start: Pose, corners_px: &[DVec2; 4], side_mm: f64, lens: &Lens) -> Op
             rotation: cayley(DVec3::new(step[0], step[1], step[2])) * pose.rotation,
             translation: pose.translation + DVec3::new(step[3], step[4], step[5]) * side_mm,
         };
-        let then = cost(&next, corners_px, &print, lens);
+        let then = cost(&next, corners_px, weights, &print, lens);
         if then < now {
             let gain = now - then;
             (pose, now) = (next, then);
             damping = (damping * 0.1).max(1e-12);
-            if gain <= 1e-12 * now + 1e-24 {
+            if gain <= part * now + least {
                 break;
             }
         } else {
@@ -156,8 +233,7 @@ fn refine(start: Pose, corners_px: &[DVec2; 4], side_mm: f64, lens: &Lens) -> Op
         }
     }
     let pose = Pose { rotation: orthonormal(pose.rotation)?, translation: pose.translation };
-    let error_px = (cost(&pose, corners_px, &print, lens) * 0.25).sqrt();
-    (error_px.is_finite() && pose.translation.is_finite()).then_some(Solved { pose, error_px })
+    pose.translation.is_finite().then_some(pose)
 }
 
 /// A rotation by about `turn` (radians along each axis), exactly orthonormal without sine or cosine.
@@ -172,10 +248,16 @@ fn cayley(turn: DVec3) -> DMat3 {
 type Equations = ([[f64; 6]; 6], [f64; 6]);
 
 /// Normal equations of the reprojection error by a turn (left of the rotation) and a shift in sides.
-fn equations(pose: &Pose, corners_px: &[DVec2; 4], print: &[DVec3; 4], lens: &Lens) -> Option<Equations> {
+fn equations(
+    pose: &Pose,
+    corners_px: &[DVec2; 4],
+    weights: Option<&Weights>,
+    print: &[DVec3; 4],
+    lens: &Lens,
+) -> Option<Equations> {
     let side = print[1].x - print[0].x;
-    let (mut a, mut b) = ([[0.0; 6]; 6], [0.0; 6]);
-    for (corner, point) in corners_px.iter().zip(print) {
+    let (mut rows, mut misses) = ([[0.0; 8]; 6], [0.0; 8]);
+    for (k, (corner, point)) in corners_px.iter().zip(print).enumerate() {
         let turned = pose.rotation * *point;
         let p = turned + pose.translation;
         if p.z.is_nan() || p.z <= 0.0 {
@@ -190,14 +272,25 @@ fn equations(pose: &Pose, corners_px: &[DVec2; 4], print: &[DVec3; 4], lens: &Le
             let by_point = DVec3::new(du, dv, -(du * flat.x + dv * flat.y));
             let by_turn = turned.cross(by_point);
             let by_shift = by_point * side;
+            let at = 2 * k + axis;
             let row = [by_turn.x, by_turn.y, by_turn.z, by_shift.x, by_shift.y, by_shift.z];
-            for i in 0..6 {
-                for j in 0..=i {
-                    a[i][j] += row[i] * row[j];
-                }
-                b[i] += row[i] * miss[axis];
+            for (line, v) in rows.iter_mut().zip(row) {
+                line[at] = v;
             }
+            misses[at] = miss[axis];
         }
+    }
+    let weigh = |row: &[f64; 8]| match weights {
+        None => *row,
+        Some(weights) => std::array::from_fn(|i| dot(&weights[i], row)),
+    };
+    let (mut a, mut b) = ([[0.0; 6]; 6], [0.0; 6]);
+    for i in 0..6 {
+        let row = weigh(&rows[i]);
+        for j in 0..=i {
+            a[i][j] = dot(&row, &rows[j]);
+        }
+        b[i] = dot(&row, &misses);
     }
     Some((a, b))
 }

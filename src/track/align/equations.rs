@@ -266,6 +266,8 @@ impl<S: Simd> Model<'_, S> {
         let gy = (uy * by_u + vy * by_v) * pull;
         let inward = zero - (gx * x + gy * y);
         let seen = value * root;
+        // the blur's unknowns are in parts of the blur, so that A changes little as it does
+        let wider = contrast * (0.5 * (xx + yy));
         let (fu, fv) = (by_wide_u / (wide_u * wide_u), by_wide_v / (wide_v * wide_v));
         let rows = [
             gx * px,
@@ -282,9 +284,9 @@ impl<S: Simd> Model<'_, S> {
             seen,
             seen * px,
             seen * py,
-            (fu * ux * ux + fv * vx * vx) * contrast * 0.5,
-            (fu * ux * uy + fv * vx * vy) * contrast,
-            (fu * uy * uy + fv * vy * vy) * contrast * 0.5,
+            (fu * ux * ux + fv * vx * vx) * wider * 0.5,
+            (fu * ux * uy + fv * vx * vy) * wider,
+            (fu * uy * uy + fv * vy * vy) * wider * 0.5,
             miss * root,
         ];
         for (row, out) in rows.iter().zip(block.iter_mut()) {

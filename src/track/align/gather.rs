@@ -25,7 +25,7 @@ pub struct Samples {
     pub gray: [f32; MOST_SAMPLES],
     /// How many there are.
     pub count: usize,
-    /// Whether no row was left out.
+    /// Whether nothing was left out.
     pub whole: bool,
 }
 
@@ -41,7 +41,7 @@ impl Default for Samples {
     }
 }
 
-/// Fills `samples` with about `most` pixels at most: rows are left out evenly where there would be more. An edge
+/// Fills `samples` with about `most` pixels at most: runs are left out evenly where there would be more. An edge
 /// reaches `grow` kernel half-widths.
 #[inline(always)]
 #[expect(clippy::too_many_arguments, reason = "one kernel, called once")]
@@ -84,12 +84,13 @@ pub fn gather<S: Simd>(
     let rows = (low - slack).max(0.0) as usize..((high + slack).max(0.0) as usize + 1).min(size.height);
     let near =
         Near { simd, inverse: f32s(&inverse), pattern, blur: blur.map(|v| v as f32), quiet: quiet as f32 };
-    for y in rows.step_by(thin) {
+    for y in rows {
         let Some([from, to]) = span(&outer, y as f64, slack) else { continue };
         let from = from.max(0.0) as usize;
         let to = (to.max(0.0) as usize + 1).min(size.width);
         let line = view.luma.row(y);
-        let mut start = from;
+        // runs are left out slantwise: no edge runs along what is left out
+        let mut start = from + RUN * (y * 5 % thin);
         while start < to {
             let count = RUN.min(to - start);
             if samples.count + RUN > MOST_SAMPLES {
@@ -115,7 +116,7 @@ pub fn gather<S: Simd>(
                     samples.count += 1;
                 }
             }
-            start += RUN;
+            start += RUN * thin;
         }
     }
 }

@@ -25,7 +25,7 @@ use equations::Sums;
 pub use gather::MOST_SAMPLES;
 use gather::Samples;
 use glam::{DMat3, DVec2, DVec3};
-use pattern::Pattern;
+pub use pattern::Pattern;
 
 /// Half-width of the kernel in deviations: the variance of (15/16)(1-z²)² is 1/7.
 const WIDTH_PER_SIGMA: f64 = 2.645_751_311_064_590_6;
@@ -35,10 +35,14 @@ const START_SIGMA_PX: f64 = 0.7;
 const SIGMA_PX: [f64; 2] = [0.3, 5.0];
 /// Most Gauss-Newton steps on the thin set and on the whole one.
 const STEPS: [usize; 2] = [6, 3];
+/// The same where the fit must settle.
+const PATIENCE: [usize; 2] = [8, 6];
+/// A fit whose last step was longer has not settled, px.
+const SETTLED_PX: f64 = 0.25;
 /// How many of these steps, on either set, find the matrix of the equations anew.
 const FRESH: [usize; 2] = [9, 9];
 /// A step shorter than this, px, was the last one on either set.
-const ENOUGH_PX: [f64; 2] = [0.1, 0.03];
+const ENOUGH_PX: [f64; 2] = [0.1, 0.1];
 /// Pixels of the thin set.
 const THIN_SAMPLES: usize = 500;
 /// Homography, black and step levels, the kernel's extent.
@@ -58,6 +62,8 @@ struct Fit {
     blur: [f64; 3],
     /// Residuals beyond this are someone's finger or a glint, gray levels.
     reach: f64,
+    /// Whether the kernel stays as it is.
+    rigid: bool,
 }
 
 /// Where to start from.
@@ -71,9 +77,11 @@ pub struct Start {
     pub quad: Quad,
     /// Gray of black ink and paper.
     pub inks: [Level; 2],
-    /// Covariance of the blur (xx, xy, yy, px²) where it is known from the frame before. The place is then
-    /// believed to be good to a part of the blur: no thin set of pixels is tried first.
+    /// Covariance of the blur (xx, xy, yy, px²) where it is known from the frame before. The fit must then settle.
     pub blur: Option<[f64; 3]>,
+    /// How far the corners may be off, px, where the blur is known: it blurs the start as well. Without doubt
+    /// no thin set of pixels is tried first.
+    pub doubt_px: f64,
     /// Most pixels looked at.
     pub most: usize,
 }
@@ -91,7 +99,7 @@ pub struct Aligned {
     pub rms: f64,
     /// Sum of the pixels' robust weights over their number, 0..1: near 1 where the print explains the picture.
     pub share: f64,
-    /// Inverse covariance of the corners (x0 y0 x1 ... y3), 1/px²: lower triangle.
+    /// Inverse covariance of the corners (x0 y0 x1 ... y3), 1/px².
     pub information: [[f64; 8]; 8],
 }
 
@@ -107,22 +115,33 @@ pub fn align(view: &View<'_>, start: &Start, rectify: &Rectify, level: simd::Lev
     let (contrast, step) = (white.mean - black.mean, white.slope - black.slope);
     let unit = WIDTH_PER_SIGMA / scale;
     let sharp = START_SIGMA_PX * START_SIGMA_PX;
+    let doubt = start.doubt_px * start.doubt_px;
     let mut fit = Fit {
         map,
         center,
         scale,
         levels: [black.mean, black.slope.x, black.slope.y, contrast, step.x, step.y],
-        blur: start.blur.unwrap_or([sharp, 0.0, sharp]).map(|v| v * unit * unit),
+        blur: start
+            .blur
+            .map_or([sharp, 0.0, sharp], |[xx, xy, yy]| [xx + doubt, xy, yy + doubt])
+            .map(|v| v * unit * unit),
         reach: 0.35 * contrast.abs(),
+        rigid: false,
     };
     let mut samples = Samples::default();
     let most = start.most.min(MOST_SAMPLES);
-    let mut last = None;
+    let (mut last, mut settled) = (None, false);
     for whole in [false, true] {
-        if !whole && start.blur.is_some() {
+        if !whole && start.blur.is_some() && start.doubt_px == 0.0 {
             continue;
         }
-        let (most, grow, steps) = if whole { (most, 1.15, STEPS[1]) } else { (THIN_SAMPLES, 1.33, STEPS[0]) };
+        // a doubtful place is found with the kernel that blurs the doubt away, then the kernel as it was
+        fit.rigid = start.blur.is_some() && !whole;
+        if let (true, Some(blur)) = (whole, start.blur) {
+            fit.blur = blur.map(|v| v * unit * unit);
+        }
+        let steps = if start.blur.is_some() { PATIENCE } else { STEPS }[usize::from(whole)];
+        let (most, grow) = if whole { (most, 1.15) } else { (THIN_SAMPLES, 1.33) };
         dispatch!(level, simd => gather::gather(simd, view, rectify, &fit, &pattern, most, grow, &mut samples));
         if samples.count < 4 * UNKNOWNS {
             return None;
@@ -139,13 +158,17 @@ pub fn align(view: &View<'_>, start: &Start, rectify: &Rectify, level: simd::Lev
             }
             let moved = fit.step(&sums, contrast.abs())?;
             last = Some(sums);
+            settled = moved < SETTLED_PX;
             if moved < ENOUGH_PX[usize::from(whole)] {
                 break;
             }
         }
-        if samples.whole {
+        if samples.whole && !fit.rigid {
             break;
         }
+    }
+    if start.blur.is_some() && !settled {
+        return None;
     }
     let sums = last?;
     let map = Homography(fit.map);
@@ -182,7 +205,8 @@ impl Fit {
         for (level, step) in self.levels.iter_mut().zip(&step[8..14]) {
             *level += step;
         }
-        self.widen([step[14], step[15], step[16]]);
+        let size = self.blur_size();
+        self.widen([step[14] * size, step[15] * size, step[16] * size]);
         let residual = (sums.squares / sums.weights).sqrt();
         self.reach = (5.0 * residual).clamp(0.2 * contrast, 0.35 * contrast);
         let moved = step[..8].iter().fold(0.0f64, |most, v| v.abs().max(most)) * self.scale;
@@ -197,12 +221,17 @@ impl Fit {
             row[i] *= 1.0 + 1e-6;
         }
         let unit = START_SIGMA_PX * WIDTH_PER_SIGMA / self.scale;
-        let round = unit * unit;
-        let trust = sums.squares / sums.weights / (9.0 * round * round);
-        for (k, (now, sharp)) in self.blur.into_iter().zip([round, 0.0, round]).enumerate() {
+        let (sharp, size) = (unit * unit, self.blur_size());
+        // the belief: off by about three times the sharp lens's blur
+        let trust = sums.squares / sums.weights * (size / (3.0 * sharp)) * (size / (3.0 * sharp));
+        for (k, (now, sharp)) in self.blur.into_iter().zip([sharp, 0.0, sharp]).enumerate() {
             let i = UNKNOWNS - 3 + k;
             a[i][i] += trust;
-            b[i] += trust * (sharp - now);
+            b[i] += trust * (sharp - now) / size;
+            if self.rigid {
+                a[i] = [0.0; UNKNOWNS];
+                (a[i][i], b[i]) = (1.0, 0.0);
+            }
         }
         solve_spd(a, b)
     }
@@ -247,7 +276,17 @@ impl Fit {
                 *sum = (0..8).map(|k| inverse[k][i] * half[k][j]).sum::<f64>() / variance;
             }
         }
+        for i in 0..8 {
+            for j in i + 1..8 {
+                out[i][j] = out[j][i];
+            }
+        }
         out.iter().flatten().all(|v| v.is_finite()).then_some(out)
+    }
+
+    /// Mean square of the kernel's half-width.
+    fn blur_size(&self) -> f64 {
+        0.5 * (self.blur[0] + self.blur[2])
     }
 
     /// Adds to the blur, by at most about half of it, and keeps it within `SIGMA_PX` every way.
@@ -313,7 +352,7 @@ mod tests {
         let size = Size::new(120, 110);
         let picture = Plane::from_fn(size, |x, y| (40 + (x * 7 + y * 13) % 150) as u8);
         let lens = Lens::guess(size);
-        let view = View { luma: picture.view(), lens: &lens };
+        let view = View::new(picture.view(), &lens);
         let mut rectify = Rectify::default();
         rectify.prepare(&lens, size);
         let pattern = Pattern::new(family, id).expect("id 7");
@@ -361,7 +400,7 @@ mod tests {
                         6 => fit.map.x_axis.z += step,
                         7 => fit.map.y_axis.z += step,
                         k if k < 14 => fit.levels[k - 8] += step,
-                        k => fit.blur[k - 14] += step,
+                        k => fit.blur[k - 14] += step * fit.blur_size(),
                     }
                     sums(&fit).squares
                 };

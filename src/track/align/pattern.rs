@@ -9,6 +9,7 @@ pub const STRIDE: usize = 16;
 
 /// The ink around every junction: the 4x4 cells about it, row by row, bit 0 at the top left, 1 = white. The
 /// middle 2x2 cells touch the junction. Everything outside the border is white.
+#[derive(Clone, Debug)]
 pub struct Pattern {
     /// Junction (column, row) counted from the border's top-left corner, at `row · STRIDE + column`.
     pub around: [u16; STRIDE * STRIDE],
@@ -41,5 +42,15 @@ impl Pattern {
         let first = (0..middle).find(|&column| family.ink(code, column, middle) == Ink::Picture);
         let picture = first.map(|border| [border as f32, (cells as isize - border) as f32]);
         Some(Self { around, cells, picture })
+    }
+
+    /// The ink of a cell; column and row count from the border's top-left cell and stay inside it.
+    pub fn ink(&self, column: usize, row: usize) -> Ink {
+        let within = |[from, to]: [f32; 2]| [column, row].iter().all(|&v| (from..to).contains(&(v as f32)));
+        match self.around[row * STRIDE + column] >> 10 & 1 {
+            _ if self.picture.is_some_and(within) => Ink::Picture,
+            0 => Ink::Black,
+            _ => Ink::White,
+        }
     }
 }

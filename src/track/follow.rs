@@ -1,0 +1,555 @@
+//! Markers followed from picture to picture.
+//!
+//! What was seen is expected again: each known marker is predicted and its print laid straight onto the picture,
+//! without search or decoding; where that fails it is looked for nearby by its print, then in a window, then it is
+//! held where it would be, then dropped. A followed marker must explain the picture as its own code, so that
+//! another one never takes its place. New markers are searched for a slice a frame; while none is known, every
+//! picture is searched in full.
+
+use super::align::{self, Aligned, Pattern, Start};
+use super::decode::{Decoded, Level, View};
+use super::filter::Filter;
+use super::quad::Quad;
+use super::rectify::{self, Rectify};
+use super::search::{self, Limits, Search};
+use super::solve::{self, Minimum};
+use super::{Tracker, Wanted, bounds, mean_side, wish};
+use crate::frame::{Sighting, Solved, State};
+use crate::geometry::{Homography, Lens, Pose};
+use crate::marker::{Family, Ink};
+use crate::pixels::{Plane, PlaneRef, Size, simd};
+use glam::DVec2;
+use rayon::prelude::*;
+use std::time::Duration;
+
+/// Most markers that are followed.
+const MOST: usize = 64;
+/// Pixels a followed marker is aligned with.
+const SAMPLES: usize = 1000;
+/// Predictions this good need no thin set first, px; least and most doubt about the others.
+const SURE_PX: f64 = 0.3;
+const LEAST_DOUBT_PX: f64 = 0.4;
+const MOST_DOUBT_PX: f64 = 2.5;
+/// Least share of robust weights, and most residual of the contrast, where the print explains the picture.
+const LEAST_SHARE: f64 = 0.75;
+const MOST_RESIDUAL: f64 = 0.2;
+/// Least gray step from black to white, and of what it was.
+const LEAST_CONTRAST: f64 = 8.0;
+const LEAST_KEPT: f64 = 0.4;
+/// Most χ² that a picture says for or against a minimum, what is remembered of it, and how much decides.
+const MOST_SAID: f64 = 8.0;
+const REMEMBERED: f64 = 0.95;
+const DECIDES: f64 = 20.0;
+/// A minimum that costs more than this, and this times the other's, is not meant.
+const CLEAR: f64 = 40.0;
+/// Most windows searched in a picture.
+const MOST_WINDOWS: usize = 2;
+/// Frames in which the slices come around.
+const CYCLE: usize = 8;
+
+/// Everything that is carried from one picture to the next.
+#[derive(Debug, Default)]
+pub struct Follow {
+    tracks: Vec<Track>,
+    lens: Option<Lens>,
+    wanted: Vec<Wanted>,
+    at: f64,
+    turn: usize,
+    window: Search,
+    halved: Plane<u8>,
+    found: Vec<Decoded>,
+    boxes: Vec<[DVec2; 2]>,
+}
+
+/// A marker that is known.
+#[derive(Clone, Debug)]
+struct Track {
+    family: Family,
+    id: u32,
+    side_mm: f64,
+    pattern: Pattern,
+    /// When and where it was seen, newest first.
+    seen: [(f64, Quad); 3],
+    depth: usize,
+    inks: [Level; 2],
+    blur: [f64; 3],
+    hamming: u32,
+    margin: f64,
+    filter: Option<Filter>,
+    error_px: f64,
+    other: Option<Minimum>,
+    /// χ² by which the pictures so far prefer our minimum to the other.
+    trust: f64,
+    /// How far off the last predictions were, px.
+    miss_px: f64,
+    state: State,
+}
+
+/// What following works on.
+struct Scene<'a> {
+    view: View<'a>,
+    rectify: &'a Rectify,
+    level: simd::Level,
+    at: f64,
+}
+
+impl Tracker {
+    /// The wanted markers in view, ordered by family and id, with what is known from the pictures before.
+    ///
+    /// `at`: when the picture was taken, on any clock that runs on; a step back or a gap longer than
+    /// [`super::Config::hold_ms`], another lens, size or wish starts anew. Poses are smoothed over time; a marker
+    /// out of sight is reported as [`State::Held`] for `hold_ms`. Allocates only when a picture is larger or fuller
+    /// than any before.
+    pub fn follow(
+        &mut self,
+        luma: PlaneRef<'_, u8>,
+        lens: &Lens,
+        wanted: &[Wanted],
+        at: Duration,
+    ) -> &[Sighting] {
+        self.sightings.clear();
+        let at = at.as_secs_f64();
+        let hold = f64::from(self.config.hold_ms) * 1e-3;
+        let follow = &mut self.follow;
+        let same = follow.lens == Some(*lens) && follow.wanted == wanted;
+        if !same || at < follow.at || at - follow.at > hold.max(0.1) {
+            follow.tracks.clear();
+            follow.tracks.reserve(MOST);
+            follow.turn = 0;
+            follow.wanted.clear();
+            follow.wanted.extend_from_slice(wanted);
+            follow.lens = Some(*lens);
+        }
+        follow.at = at;
+        if !self.prepare(luma, lens, wanted) {
+            return &self.sightings;
+        }
+        let view = View::new(luma, lens);
+        let level = self.level;
+        let scene = Scene { view, rectify: &self.rectify, level, at };
+        self.follow.tracks.par_iter_mut().for_each(|track| track.advance(&scene));
+        let sighted = self.follow.tracks.iter().any(|track| track.state != State::Held);
+        self.decoded.clear();
+        if sighted {
+            self.search_windows(luma, lens);
+            self.search_slice(luma, lens, wanted);
+        } else {
+            self.search(luma, lens, wanted);
+        }
+        super::keep_best(&mut self.decoded);
+        let scene = Scene { view, rectify: &self.rectify, level, at };
+        for found in &self.decoded {
+            self.follow.admit(&scene, found, wanted);
+        }
+        self.follow.tracks.retain(|track| at - track.seen[0].0 <= hold);
+        self.follow.drop_doubles();
+        self.follow.turn += 1;
+        self.sightings.extend(self.follow.tracks.iter().map(|track| track.sighting(at, lens)));
+        &self.sightings
+    }
+
+    /// Looks for markers out of sight where they may be.
+    fn search_windows(&mut self, luma: PlaneRef<'_, u8>, lens: &Lens) {
+        let mut windows = 0;
+        for i in 0..self.follow.tracks.len() {
+            let track = &self.follow.tracks[i];
+            if track.state != State::Held || windows == MOST_WINDOWS {
+                continue;
+            }
+            windows += 1;
+            let quad = track.expected(self.follow.at).map(|p| rectify::seen(lens, p));
+            let [low, high] = bounds(&quad);
+            let grow = 0.5 * mean_side(&quad) + 8.0;
+            let step = if mean_side(&quad) > 60.0 { 2 } else { 1 };
+            let only = [Wanted { family: track.family, id: Some(track.id), side_mm: track.side_mm }];
+            self.search_part(luma, lens, &only, [low - grow, high + grow], step);
+        }
+    }
+
+    /// Looks for new markers in this frame's share of the picture.
+    fn search_slice(&mut self, luma: PlaneRef<'_, u8>, lens: &Lens, wanted: &[Wanted]) {
+        let Size { width, height } = luma.size();
+        let turn = self.follow.turn % CYCLE;
+        let (w, h) = (width as f64, height as f64);
+        if turn == 0 {
+            self.search_part(luma, lens, wanted, [DVec2::ZERO, DVec2::new(w, h)], 2);
+        }
+    }
+
+    /// Reads what can be read in a box of the picture, whole (`step` 1) or halved (2).
+    fn search_part(
+        &mut self,
+        luma: PlaneRef<'_, u8>,
+        lens: &Lens,
+        wanted: &[Wanted],
+        [low, high]: [DVec2; 2],
+        step: u32,
+    ) {
+        let Size { width, height } = luma.size();
+        // whole pairs of pixels, so that halved ones lie where those of the halved picture would
+        let (left, top) = (low.x.max(0.0) as usize & !1, low.y.max(0.0) as usize & !1);
+        let right = (high.x.max(0.0) as usize + 1).min(width);
+        let bottom = (high.y.max(0.0) as usize + 1).min(height);
+        if right < left + 16 || bottom < top + 16 {
+            return;
+        }
+        let size = Size::new(right - left, bottom - top);
+        let Some(part) = luma.part(left, top, size) else { return };
+        let limits = Limits { step, origin: DVec2::new(left as f64, top as f64), ..self.limits() };
+        let follow = &mut self.follow;
+        follow.boxes.clear();
+        let seen = follow.tracks.iter().filter(|track| track.state != State::Held);
+        follow.boxes.extend(seen.map(|t| bounds(&t.seen[0].1.map(|p| rectify::seen(lens, p)))));
+        let picture = if step == 1 {
+            part
+        } else {
+            search::halve(part, &mut follow.halved, self.level);
+            follow.halved.view()
+        };
+        let quads = follow.window.quads(picture, &self.rectify, limits, &follow.boxes, self.level);
+        let view = View::new(luma, lens);
+        self.decoded.extend(quads.iter().filter_map(|quad| {
+            super::read(&view, quad, crate::marker::Polarity::BlackOnWhite, wanted, &self.patterns)
+        }));
+    }
+}
+
+impl Follow {
+    /// Takes a marker that was read: back in sight, or new.
+    fn admit(&mut self, scene: &Scene<'_>, found: &Decoded, wanted: &[Wanted]) {
+        let center = |q: &Quad| (q[0] + q[1] + q[2] + q[3]) * 0.25;
+        let here = center(&found.quad);
+        let key = (found.family, found.reading.id);
+        let mut held = None;
+        for (i, track) in self.tracks.iter().enumerate().filter(|(_, t)| (t.family, t.id) == key) {
+            let apart = (center(&track.seen[0].1) - here).length();
+            if track.state != State::Held {
+                if apart < 0.7 * mean_side(&found.quad) {
+                    return;
+                }
+            } else if held.is_none_or(|(_, least)| apart < least) {
+                held = Some((i, apart));
+            }
+        }
+        let Some(aligned) = scene.align(key.0, key.1, found.quad, [found.black, found.white], None) else {
+            return;
+        };
+        match held {
+            Some((i, _)) => {
+                let track = &mut self.tracks[i];
+                track.depth = 0;
+                track.miss_px = MOST_DOUBT_PX;
+                track.observe(scene, &aligned);
+                track.state = State::Found;
+            }
+            None if self.tracks.len() < MOST => {
+                let side_mm = wish(wanted, key.0, key.1).map_or(f64::NAN, |w| w.side_mm);
+                if let Some(track) = Track::new(scene, found, side_mm, &aligned) {
+                    self.tracks.push(track);
+                }
+            }
+            None => {}
+        }
+    }
+
+    /// Two tracks that ran into one marker become one; orders by family, id and place.
+    fn drop_doubles(&mut self) {
+        let tracks = &mut self.tracks;
+        let place = |t: &Track| (t.seen[0].1[0].y, t.seen[0].1[0].x);
+        tracks.sort_unstable_by(|a, b| {
+            let (p, q) = (place(a), place(b));
+            let by_place = p.0.total_cmp(&q.0).then(p.1.total_cmp(&q.1));
+            (a.family, a.id)
+                .cmp(&(b.family, b.id))
+                .then((a.state == State::Held).cmp(&(b.state == State::Held)))
+                .then(by_place)
+        });
+        tracks.dedup_by(|next, kept| {
+            let same = (next.family, next.id) == (kept.family, kept.id);
+            let apart = (next.seen[0].1[0] - kept.seen[0].1[0]).length();
+            same && apart < 0.5 * mean_side(&kept.seen[0].1)
+        });
+    }
+}
+
+impl Scene<'_> {
+    fn align(
+        &self,
+        family: Family,
+        id: u32,
+        quad: Quad,
+        inks: [Level; 2],
+        blur: Option<([f64; 3], f64)>,
+    ) -> Option<Aligned> {
+        let most = if blur.is_some() { SAMPLES } else { align::MOST_SAMPLES };
+        let doubt_px = blur.map_or(0.0, |(_, doubt)| doubt);
+        let start = Start { family, id, quad, inks, blur: blur.map(|(blur, _)| blur), doubt_px, most };
+        align::align(&self.view, &start, self.rectify, self.level)
+    }
+}
+
+impl Track {
+    fn new(scene: &Scene<'_>, found: &Decoded, side_mm: f64, aligned: &Aligned) -> Option<Self> {
+        let id = found.reading.id;
+        let mut track = Self {
+            family: found.family,
+            id,
+            side_mm,
+            pattern: Pattern::new(found.family, id)?,
+            seen: [(scene.at, aligned.quad); 3],
+            depth: 0,
+            inks: aligned.inks,
+            blur: aligned.blur,
+            hamming: found.reading.hamming,
+            margin: found.margin,
+            filter: None,
+            error_px: 0.0,
+            other: None,
+            trust: 0.0,
+            miss_px: MOST_DOUBT_PX,
+            state: State::Found,
+        };
+        track.observe(scene, aligned);
+        track.hamming = found.reading.hamming;
+        Some(track)
+    }
+
+    /// Follows it into the next picture.
+    fn advance(&mut self, scene: &Scene<'_>) {
+        self.state = State::Held;
+        let quad = self.expected(scene.at);
+        let doubt = if self.miss_px < SURE_PX {
+            0.0
+        } else {
+            (0.5 * self.miss_px).clamp(LEAST_DOUBT_PX, MOST_DOUBT_PX)
+        };
+        let straight = scene.align(self.family, self.id, quad, self.inks, Some((self.blur, doubt)));
+        let straight = straight.filter(|aligned| self.is_it(scene, aligned));
+        let aligned = straight.or_else(|| {
+            let shift = self.nearby(&scene.view, &quad)?;
+            scene
+                .align(
+                    self.family,
+                    self.id,
+                    quad.map(|p| p + shift),
+                    self.inks,
+                    Some((self.blur, MOST_DOUBT_PX)),
+                )
+                .filter(|aligned| self.is_it(scene, aligned))
+        });
+        if let Some(aligned) = aligned {
+            let miss = (0..4).map(|i| (aligned.quad[i] - quad[i]).length()).fold(0.0, f64::max);
+            self.miss_px = miss.max(0.7 * self.miss_px);
+            self.observe(scene, &aligned);
+            self.state = State::Followed;
+        }
+    }
+
+    /// Where it should be: constant acceleration from three places, velocity from two.
+    fn expected(&self, at: f64) -> Quad {
+        let [(t0, a), (t1, b), (t2, c)] = self.seen;
+        let weights = match self.depth {
+            0 | 1 => [1.0, 0.0, 0.0],
+            2 => {
+                let s = (at - t0) / (t0 - t1);
+                [1.0 + s, -s, 0.0]
+            }
+            _ => [
+                (at - t1) * (at - t2) / ((t0 - t1) * (t0 - t2)),
+                (at - t0) * (at - t2) / ((t1 - t0) * (t1 - t2)),
+                (at - t0) * (at - t1) / ((t2 - t0) * (t2 - t1)),
+            ],
+        };
+        std::array::from_fn(|i| a[i] * weights[0] + b[i] * weights[1] + c[i] * weights[2])
+    }
+
+    /// Whether what was aligned is this marker: its print explains the picture, and its bits are its own.
+    fn is_it(&mut self, scene: &Scene<'_>, aligned: &Aligned) -> bool {
+        let step = |inks: &[Level; 2]| inks[1].mean - inks[0].mean;
+        let (before, now) = (step(&self.inks), step(&aligned.inks));
+        let contrast = now * before.signum();
+        let grown = mean_side(&aligned.quad) / mean_side(&self.seen[0].1);
+        let explained = contrast >= LEAST_CONTRAST.max(LEAST_KEPT * before)
+            && aligned.share >= LEAST_SHARE
+            && aligned.rms <= MOST_RESIDUAL * contrast
+            && (0.6..1.7).contains(&grown);
+        let Some((wrong, margin)) = explained.then(|| self.bits(&scene.view, aligned)).flatten() else {
+            return false;
+        };
+        if wrong > self.family.max_hamming() {
+            return false;
+        }
+        (self.hamming, self.margin) = (wrong, margin);
+        true
+    }
+
+    /// Cells inside the border that differ from the code, those near their threshold left out, and the mean
+    /// distance from it.
+    fn bits(&self, view: &View<'_>, aligned: &Aligned) -> Option<(u32, f64)> {
+        let map = Homography::from_square(aligned.quad)?;
+        let cells = self.pattern.cells;
+        let (mut wrong, mut margin, mut count) = (0, 0.0, 0.0);
+        for row in 1..cells - 1 {
+            for column in 1..cells - 1 {
+                let ink = self.pattern.ink(column, row);
+                if ink == Ink::Picture {
+                    continue;
+                }
+                let p = cell(column as f64, row as f64, cells);
+                let (black, white) = (aligned.inks[0].at(p), aligned.inks[1].at(p));
+                // in units of half the step: -1 black, 1 white
+                let value = (2.0 * view.gray(map.apply(p)) - black - white) / (white - black);
+                wrong += u32::from((value > 0.0) != (ink == Ink::White) && value.abs() > 0.2);
+                margin += value.abs().min(1.0) * 0.5 * (white - black).abs();
+                count += 1.0;
+            }
+        }
+        Some((wrong, margin / count))
+    }
+
+    /// The shift that brings the print nearest to the picture, about where it should be: sum of absolute
+    /// differences at the cells' middles.
+    fn nearby(&self, view: &View<'_>, quad: &Quad) -> Option<DVec2> {
+        let map = Homography::from_square(*quad)?;
+        let cells = self.pattern.cells;
+        let side = mean_side(quad) / cells as f64;
+        let reach = (2.0 * side).clamp(6.0, 32.0) as i32;
+        let stride = ((side * 0.35) as i32).max(1);
+        let mut points = [[0i32; 3]; 18 * 18];
+        let mut count = 0;
+        let contrast = (self.inks[1].mean - self.inks[0].mean).abs();
+        let cap = (0.6 * contrast) as i32;
+        let Size { width, height } = view.luma.size();
+        let (w, h) = (width as i32, height as i32);
+        for row in 0..cells + 2 {
+            for column in 0..cells + 2 {
+                let p = cell(column as f64 - 1.0, row as f64 - 1.0, cells);
+                let outside = row == 0 || column == 0 || row > cells || column > cells;
+                let ink = if outside { Ink::White } else { self.pattern.ink(column - 1, row - 1) };
+                if ink == Ink::Picture {
+                    continue;
+                }
+                let gray = self.inks[usize::from(ink == Ink::White)].at(p);
+                let at = rectify::seen(view.lens, map.apply(p)) + 0.5;
+                if count < points.len() && at.is_finite() && at.abs().max_element() < 1e6 {
+                    points[count] = [at.x.floor() as i32, at.y.floor() as i32, gray as i32];
+                    count += 1;
+                }
+            }
+        }
+        let cost = |dx: i32, dy: i32| {
+            let mut sum = 0;
+            for [x, y, gray] in &points[..count] {
+                let (x, y) = (x + dx, y + dy);
+                let inside = x >= 0 && y >= 0 && x < w && y < h;
+                let seen =
+                    if inside { i32::from(view.luma.row(y as usize)[x as usize]) } else { i32::MAX / 2 };
+                sum += (seen - gray).abs().min(cap);
+            }
+            sum
+        };
+        let mut best = (i32::MAX, 0, 0);
+        let mut try_at = |dx: i32, dy: i32, best: &mut (i32, i32, i32)| {
+            let sum = cost(dx, dy);
+            if sum < best.0 {
+                *best = (sum, dx, dy);
+            }
+        };
+        let rings = reach / stride;
+        for j in -rings..=rings {
+            for i in -rings..=rings {
+                try_at(i * stride, j * stride, &mut best);
+            }
+        }
+        let mut step = stride / 2;
+        while step > 0 {
+            let (_, x, y) = best;
+            for (i, j) in [(-1, -1), (0, -1), (1, -1), (-1, 0), (1, 0), (-1, 1), (0, 1), (1, 1)] {
+                try_at(x + i * step, y + j * step, &mut best);
+            }
+            step /= 2;
+        }
+        let likely = f64::from(best.0) < 0.25 * contrast * count as f64;
+        likely.then(|| DVec2::new(f64::from(best.1), f64::from(best.2)))
+    }
+
+    /// Takes what was measured in this picture.
+    fn observe(&mut self, scene: &Scene<'_>, aligned: &Aligned) {
+        let dt = scene.at - self.seen[0].0;
+        if self.depth > 0 && dt > 0.0 {
+            // after a while out of sight the places before say nothing about the next one
+            self.depth = if dt > 0.12 { 0 } else { self.depth.min(2) };
+            self.seen = [self.seen[0], self.seen[0], self.seen[1]];
+        }
+        self.seen[0] = (scene.at, aligned.quad);
+        self.depth = (self.depth + 1).min(3);
+        (self.inks, self.blur) = (aligned.inks, aligned.blur);
+        self.solve(scene.view.lens, aligned, dt);
+    }
+
+    /// Both minima, and which of them is ours.
+    fn solve(&mut self, lens: &Lens, aligned: &Aligned, dt: f64) {
+        let lens = Lens { distortion: [0.0; 8], ..*lens };
+        let mut weights = [[0.0; 8]; 8];
+        for i in 0..8 {
+            for j in 0..8 {
+                weights[i][j] = aligned.information[i.max(j)][i.min(j)];
+            }
+        }
+        let [Some(best), other] = solve::minima(&aligned.quad, &weights, 1.0, &lens) else {
+            (self.filter, self.other) = (None, None);
+            return;
+        };
+        let (mut ours, mut other) = (best, other);
+        if let Some(their) = other {
+            if let Some(filter) = &self.filter {
+                let ahead = filter.ahead(dt);
+                let near = their.pose.angle_to(&ahead) < ours.pose.angle_to(&ahead);
+                if near && their.cost < ours.cost + CLEAR * (1.0 + ours.cost) {
+                    (ours, other) = (their, Some(ours));
+                }
+            }
+            let said = other.map_or(0.0, |other| other.cost - ours.cost).clamp(-MOST_SAID, MOST_SAID);
+            self.trust = self.trust * REMEMBERED + said;
+            if self.trust < -DECIDES {
+                (ours, other) = (other.unwrap_or(ours), Some(ours));
+                (self.filter, self.trust) = (None, -self.trust);
+            }
+        }
+        match &mut self.filter {
+            Some(filter) => filter.update(&ours.pose, &ours.information, dt),
+            None => self.filter = Some(Filter::new(ours.pose, &ours.information)),
+        }
+        (self.error_px, self.other) = (ours.error_px, other);
+    }
+
+    fn sighting(&self, at: f64, lens: &Lens) -> Sighting {
+        let held = self.state == State::Held;
+        let quad = if held { self.expected(at) } else { self.seen[0].1 };
+        let usable = self.side_mm.is_finite() && self.side_mm > 0.0;
+        let scaled = |pose: Pose, error_px: f64| {
+            let translation = pose.translation * self.side_mm;
+            usable.then_some(Solved { pose: Pose { translation, ..pose }, error_px })
+        };
+        let pose = self.filter.as_ref().and_then(|filter| {
+            let pose = if held { filter.ahead(at - self.seen[0].0) } else { filter.pose() };
+            scaled(pose, self.error_px)
+        });
+        Sighting {
+            family: self.family,
+            id: self.id,
+            corners: quad.map(|p| rectify::seen(lens, p)),
+            hamming: self.hamming,
+            margin: self.margin as f32,
+            pose,
+            pose_alt: self.other.and_then(|other| scaled(other.pose, other.error_px)),
+            state: self.state,
+        }
+    }
+}
+
+/// The middle of a cell in the marker square (±1, y up).
+fn cell(column: f64, row: f64, cells: usize) -> DVec2 {
+    let size = 2.0 / cells as f64;
+    DVec2::new((column + 0.5) * size - 1.0, 1.0 - (row + 0.5) * size)
+}
