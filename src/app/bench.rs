@@ -7,9 +7,12 @@ mod plot;
 mod quality;
 mod steps;
 mod styles;
+mod table;
+pub mod tally;
+mod tracking;
 
 use super::report::machine;
-use super::{demo, pool, progress, say};
+use super::{Failed, demo, pool, progress, say};
 use crate::camera::Synthetic;
 use crate::display::Sink;
 use crate::frame::{Frame, Needs};
@@ -23,10 +26,11 @@ use crate::retouch;
 use crate::scene::{Mesh, Scene};
 use crate::style::{self, StyleInput, StyleName, Styler};
 use crate::track::{Tracker, Wanted};
+use anyhow::Context;
 use clap::ValueEnum;
 use glam::{DAffine3, DVec2, DVec3};
 use quality::Quality;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 /// Prints how long each stage takes and how far it is from its f64 reference or the exact truth.
@@ -41,8 +45,9 @@ pub struct Args {
     /// The styles only, in every variant: settings, SIMD levels, single steps; leaves a plot
     #[arg(long, conflicts_with_all = ["tracking", "raster"])]
     styles: bool,
-    /// The tracker only
-    #[arg(long)]
+    /// The tracker only, on synthetic frames with exact truth: recall, errors, jitter, false positives and time at
+    /// each quality; leaves a plot
+    #[arg(long, conflicts_with = "raster")]
     tracking: bool,
     /// The rasteriser only
     #[arg(long)]
@@ -54,15 +59,18 @@ pub struct Args {
     /// Thread counts to measure
     #[arg(long, value_delimiter = ',', default_value = "1,2", value_name = "N,N")]
     threads: Vec<usize>,
-    /// Different frames
-    #[arg(long, default_value_t = 12, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=1000))]
-    frames: u64,
+    /// Different frames; by default 12, with --tracking 60 (of which a tenth is timed)
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=10_000))]
+    frames: Option<u64>,
     /// Runs of every frame
     #[arg(long, default_value_t = 20, value_name = "K", value_parser = clap::value_parser!(u64).range(1..=100_000))]
     repeat: u64,
-    /// Where --styles leaves its plot of time against error
-    #[arg(long, default_value = "styles.svg", value_name = "FILE")]
-    plot: PathBuf,
+    /// Family of the markers that --tracking looks for
+    #[arg(long, default_value = "tag36h11", value_name = "NAME", value_parser = Family::from_name)]
+    family: Family,
+    /// Where --styles and --tracking leave their plot of time against error; by default styles.svg, tracking.svg
+    #[arg(long, value_name = "FILE")]
+    plot: Option<PathBuf>,
     /// One JSON object a line
     #[arg(long)]
     json: bool,
@@ -95,7 +103,7 @@ impl Times {
     }
 }
 
-/// Runs what the arguments ask for.
+/// Measures what was asked for and prints it.
 pub fn run(args: Args) -> anyhow::Result<()> {
     if args.coherence {
         return coherence::run(&args);
@@ -103,19 +111,22 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     if args.styles {
         return styles::run(&args);
     }
-    let all = !(args.tracking || args.raster);
+    if args.tracking {
+        return tracking::run(&args);
+    }
+    let all = !args.raster;
     let parts: [(bool, Part); 6] = [
         (all, Bench::convert),
-        (all || args.tracking, Bench::tracking),
+        (all, Bench::tracking),
         (all || args.raster, Bench::raster),
         (all, Bench::retouch),
         (all, Bench::styles),
         (all, Bench::whole),
     ];
     if args.json {
-        say(serde_json::json!({ "machine": machine(), "frames": args.frames, "repeat": args.repeat }))?;
+        say(serde_json::json!({ "machine": machine(), "frames": args.frames(), "repeat": args.repeat }))?;
     } else {
-        say(format_args!("{}, 640x480, {} frames x {} runs\n", machine(), args.frames, args.repeat))?;
+        say(format_args!("{}, 640x480, {} frames x {} runs\n", machine(), args.frames(), args.repeat))?;
         say(format_args!(
             "{:<8} {:<28} {:>7} {:>9} {:>9} {:>9}  error",
             "stage", "variant", "threads", "min ms", "median", "p99"
@@ -137,6 +148,22 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     }
     bar.finish_and_clear();
     Ok(())
+}
+
+impl Args {
+    /// How many different frames most parts look at.
+    fn frames(&self) -> u64 {
+        self.frames.unwrap_or(12)
+    }
+
+    /// Writes a plot where it was asked for, or else to `name` in the working folder, and says so.
+    fn leave_plot(&self, name: &str, svg: &str) -> anyhow::Result<()> {
+        let file = self.plot.as_deref().unwrap_or(Path::new(name));
+        std::fs::write(file, svg)
+            .with_context(|| format!("{}: cannot write the plot", file.display()))
+            .context(Failed("cannot write the plot"))?;
+        if self.json { Ok(()) } else { say(format_args!("\nplot  {}", file.display())) }
+    }
 }
 
 impl Row {
@@ -177,7 +204,7 @@ impl Bench {
         let (_, mut camera) = demo::stage(StyleName::Plain, 0)?;
         let mut frames = Vec::new();
         // spread over the path: every tenth frame
-        for _ in 0..args.frames {
+        for _ in 0..args.frames() {
             let mut frame = Frame::default();
             camera.skip_to(frames.len() as u64 * 10);
             camera.next(&mut frame);

@@ -73,7 +73,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<()> {
     }
     for &name in StyleName::value_variants() {
         let size = Size::new(640, 480);
-        let found = pool.install(|| measure(name, size, args.frames as usize, simd::best()));
+        let found = pool.install(|| measure(name, size, args.frames() as usize, simd::best()));
         let Coherence { style, jumps: [jumps, steadied], psnr: [psnr, psnr_steady], pattern } = found;
         if args.json {
             say(serde_json::json!({

@@ -10,7 +10,7 @@ pub struct Point {
     pub label: String,
     /// Milliseconds, > 0.
     pub ms: f64,
-    /// Mean CIEDE2000 difference, ≥ 0.
+    /// Error, ≥ 0, in what the plot's axis says.
     pub error: f64,
 }
 
@@ -27,8 +27,8 @@ const COLORS: [&str; 10] = [
     "#bcbd22",
 ];
 
-/// The plot: time across, error up, both logarithmic.
-pub fn svg(title: &str, points: &[Point]) -> String {
+/// The plot: time across, error up, both logarithmic. `axis` says what the error is.
+pub fn svg(title: &str, axis: &str, points: &[Point]) -> String {
     let decades = |values: &mut dyn Iterator<Item = f64>| {
         let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
         for log in values.map(libm::log10) {
@@ -79,8 +79,8 @@ pub fn svg(title: &str, points: &[Point]) -> String {
     ));
     let center = (TOP + HEIGHT - BOTTOM) / 2.0;
     line(format!(
-        "<text transform=\"translate(18 {center}) rotate(-90)\" text-anchor=\"middle\">mean ΔE00 from the f64 \
-         reference</text>"
+        "<text transform=\"translate(18 {center}) rotate(-90)\" text-anchor=\"middle\">{}</text>",
+        escaped(axis)
     ));
     let mut series: Vec<&str> = Vec::new();
     for point in points {
@@ -92,7 +92,8 @@ pub fn svg(title: &str, points: &[Point]) -> String {
         let (color, px, py) = (COLORS[index % COLORS.len()], x(point.ms), y(point.error));
         let mut label = String::new();
         // writing to a String cannot fail
-        let _ = write!(label, "{} {}: {:.3} ms, ΔE {:.4}", point.series, point.label, point.ms, point.error);
+        let _ =
+            write!(label, "{} {}: {:.3} ms, error {:.4}", point.series, point.label, point.ms, point.error);
         line(format!(
             "<circle cx=\"{px:.1}\" cy=\"{py:.1}\" r=\"4\" fill=\"{color}\" fill-opacity=\".8\"><title>{}</title></circle>",
             escaped(&label)
@@ -126,8 +127,9 @@ mod tests {
     fn every_point_is_inside_and_named() {
         let point = |series: &str, ms, error| Point { series: series.into(), label: "a<b".into(), ms, error };
         let points = [point("cartoon", 2.5, 0.0), point("cartoon", 30.0, 4.0), point("plain", 0.02, 0.5)];
-        let plot = svg("time & error", &points);
-        assert!(plot.contains("time &amp; error") && plot.contains("a&lt;b") && plot.ends_with("</svg>\n"));
+        let plot = svg("time & error", "px > 0", &points);
+        assert!(plot.contains("time &amp; error") && plot.contains("px &gt; 0"));
+        assert!(plot.contains("a&lt;b") && plot.ends_with("</svg>\n"));
         assert_eq!(plot.matches("r=\"4\"").count(), 3);
         for circle in plot.lines().filter(|line| line.contains("r=\"4\"")) {
             let number = |name: &str| -> f64 {
@@ -137,6 +139,6 @@ mod tests {
             assert!((LEFT..=WIDTH - RIGHT).contains(&number("cx=")), "{circle}");
             assert!((TOP..=HEIGHT - BOTTOM).contains(&number("cy=")), "{circle}");
         }
-        assert!(svg("nothing", &[]).contains("nothing"));
+        assert!(svg("nothing", "", &[]).contains("nothing"));
     }
 }

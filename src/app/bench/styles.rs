@@ -3,10 +3,9 @@
 use super::quality::Quality;
 use super::{Args, Bench, Times, plot, steps};
 use crate::app::report::machine;
-use crate::app::{Failed, pool, progress, say};
+use crate::app::{pool, progress, say};
 use crate::pixels::{Rgb, simd};
 use crate::style::{self, StyleInput, StyleName, Styler};
-use anyhow::Context;
 use clap::ValueEnum;
 
 /// Settings that trade quality for time, each measured against the style's own defaults.
@@ -71,9 +70,9 @@ impl Line {
 /// Measures, prints, and leaves the plot.
 pub fn run(args: &Args) -> anyhow::Result<()> {
     if args.json {
-        say(serde_json::json!({ "machine": machine(), "frames": args.frames, "repeat": args.repeat }))?;
+        say(serde_json::json!({ "machine": machine(), "frames": args.frames(), "repeat": args.repeat }))?;
     } else {
-        say(format_args!("{}, 640x480, {} frames x {} runs", machine(), args.frames, args.repeat))?;
+        say(format_args!("{}, 640x480, {} frames x {} runs", machine(), args.frames(), args.repeat))?;
         say(
             "errors are those of a first frame: defaults and SIMD levels against the style's f64 reference,",
         )?;
@@ -120,10 +119,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         })?;
     }
     let title = format!("vernissage bench --styles: time against error, 640x480, {}", machine());
-    std::fs::write(&args.plot, plot::svg(&title, &points))
-        .with_context(|| format!("{}: cannot write the plot", args.plot.display()))
-        .context(Failed("cannot write the plot"))?;
-    if args.json { Ok(()) } else { say(format_args!("\nplot  {}", args.plot.display())) }
+    args.leave_plot("styles.svg", &plot::svg(&title, "mean ΔE00 from the f64 reference", &points))
 }
 
 /// The defaults at the machine's best level, at every other level, and the settings that trade quality for time.

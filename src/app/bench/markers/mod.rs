@@ -1,15 +1,23 @@
 //! Synthetic frames of markers with exact truth: what the tracker's bench looks at.
 //!
 //! A `Setup` says what stands before the camera; `clean` renders it without noise (prints area-sampled through
-//! the lens, then blur, then light), `expose` adds the sensor's noise. Everything is drawn from one seed.
+//! the lens, then blur, then light), `expose` adds the sensor's noise, `shots` does both for a whole set.
+//! Everything is drawn from one seed.
+
+mod background;
+mod blur;
+
+pub use background::Background;
+pub use blur::Blur;
 
 use crate::geometry::{Lens, Pose};
 use crate::marker::Family;
 use crate::pixels::{Plane, Size, SplitMix64};
 use crate::track::solve::corners_mm;
 use glam::{DMat3, DVec2, DVec3};
+use rayon::prelude::*;
 use std::f64::consts::{PI, TAU};
-use tiny_skia::{Color, FillRule, Paint, PathBuilder, Pixmap, Rect, Stroke, Transform};
+use std::ops::Range;
 
 /// Printed side of every marker, mm.
 pub const SIDE_MM: f64 = 100.0;
@@ -19,12 +27,22 @@ pub const SIDE_MM: f64 = 100.0;
 /// motion > 6 px; *medium* = the rest.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Difficulty {
-    /// Nothing is in the way.
+    /// Every detector should read it.
     Easy,
     /// The rest.
     Medium,
-    /// Something is near its limit.
+    /// Few detectors read it.
     Hard,
+}
+
+impl Difficulty {
+    /// All, the easiest first.
+    pub const ALL: [Self; 3] = [Self::Easy, Self::Medium, Self::Hard];
+
+    /// Its word in tables.
+    pub const fn name(self) -> &'static str {
+        ["easy", "medium", "hard"][self as usize]
+    }
 }
 
 /// A marker as it truly stands.
@@ -44,28 +62,6 @@ pub struct Truth {
     pub snr: f64,
     /// How hard it is.
     pub difficulty: Difficulty,
-}
-
-/// What blurs the picture.
-#[derive(Clone, Copy, Debug)]
-pub enum Blur {
-    /// Only the pixels' own extent.
-    Sharp,
-    /// A Gaussian of this deviation, px.
-    Gaussian(f64),
-    /// Motion along this vector, px; truth holds for its middle.
-    Motion(DVec2),
-}
-
-/// What is behind the markers.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Background {
-    /// An even wall.
-    Plain,
-    /// Smooth noise.
-    Texture,
-    /// Polygons, lines, grids, nested squares.
-    Clutter,
 }
 
 /// The light on the scene: brightness times a ramp, and the edge of a shadow.
@@ -98,6 +94,34 @@ pub struct Setup {
     pub sigma: f64,
     /// Seed of the background.
     pub seed: u64,
+}
+
+/// A setup and pictures of it that differ in their noise alone.
+#[derive(Clone, Debug)]
+pub struct Shot {
+    /// What stood before the camera.
+    pub setup: Setup,
+    /// The truth about its markers.
+    pub truth: Vec<Truth>,
+    /// The pictures.
+    pub pictures: Vec<Plane<u8>>,
+}
+
+/// The shots with these numbers of the set that `setup` draws from a number and its random numbers, `draws`
+/// pictures each; in parallel.
+pub fn shots(
+    numbers: Range<usize>,
+    draws: usize,
+    setup: impl Fn(&mut SplitMix64, usize) -> Setup + Sync,
+) -> Vec<Shot> {
+    let shoot = |number: usize| {
+        let mut rng = SplitMix64::new(1000 + 7919 * number as u64);
+        let setup = setup(&mut rng, number);
+        let clean = setup.clean();
+        let pictures = (0..draws).map(|_| expose(&clean, setup.lens.size, setup.sigma, &mut rng)).collect();
+        Shot { truth: setup.truth(), setup, pictures }
+    };
+    numbers.into_par_iter().map(shoot).collect()
 }
 
 impl Light {
@@ -198,7 +222,7 @@ impl Setup {
             }
         };
         let background = match rng.f64() {
-            k if k < 0.3 => Background::Plain,
+            k if k < 0.25 => Background::Plain,
             k if k < 0.55 => Background::Texture,
             _ => Background::Clutter,
         };
@@ -331,15 +355,11 @@ impl Setup {
     /// The picture without noise, gray levels row by row.
     pub fn clean(&self) -> Vec<f32> {
         let size = self.lens.size;
-        let mut frame = self.behind();
+        let mut frame = self.background.draw(size, self.seed);
         for (id, pose) in &self.prints {
             self.print(&mut frame, *id, pose);
         }
-        match self.blur {
-            Blur::Sharp => {}
-            Blur::Gaussian(sigma) => gaussian(&mut frame, size, sigma),
-            Blur::Motion(way) => motion(&mut frame, size, way),
-        }
+        self.blur.apply(&mut frame, size);
         for (i, v) in frame.iter_mut().enumerate() {
             let p = DVec2::new((i % size.width) as f64, (i / size.width) as f64);
             *v *= self.light.at(p, size) as f32;
@@ -347,7 +367,7 @@ impl Setup {
         frame
     }
 
-    /// Area-sampled print: pixels whose corners see one ink take it, the others average 8x8 points.
+    /// Area-sampled print: pixels that see one ink take it, the others average 64 points.
     fn print(&self, frame: &mut [f32], id: u32, pose: &Pose) {
         let Size { width, height } = self.lens.size;
         let Some(picture) = self.family.picture(id) else { return };
@@ -358,58 +378,46 @@ impl Setup {
         let Some(outer) = self.corners(pose, (samples + 1.0) / cells) else { return };
         let low = outer.iter().fold(DVec2::INFINITY, |a, b| a.min(*b)) - 2.0;
         let high = outer.iter().fold(DVec2::NEG_INFINITY, |a, b| a.max(*b)) + 2.0;
-        let paper = |seen: DVec2| {
+        // a pixel's place on the print, in cells from its top-left corner
+        let place = |seen: DVec2| {
             let q = plane * self.lens.undistort(seen)?.extend(1.0);
-            let p = DVec2::new(q.x / q.z, -q.y / q.z) * (cells / SIDE_MM) + 0.5 * samples;
-            let inside = q.z > 0.0 && p.x >= 0.0 && p.y >= 0.0 && p.x < samples && p.y < samples;
-            inside.then(|| self.inks[usize::from(picture.at(p.x as usize, p.y as usize) > 0)])
+            (q.z > 0.0).then(|| DVec2::new(q.x / q.z, -q.y / q.z) * (cells / SIDE_MM) + 0.5 * samples)
         };
+        let ink = |x: usize, y: usize| self.inks[usize::from(picture.at(x, y) > 0)];
         for y in low.y.max(0.0) as usize..(high.y.max(0.0) as usize + 1).min(height) {
             for x in low.x.max(0.0) as usize..(high.x.max(0.0) as usize + 1).min(width) {
                 let at = DVec2::new(x as f64, y as f64);
-                let corner = |dx: f64, dy: f64| paper(at + DVec2::new(dx, dy));
-                let probes = [
-                    corner(-0.5, -0.5),
-                    corner(0.5, -0.5),
-                    corner(-0.5, 0.5),
-                    corner(0.5, 0.5),
-                    corner(0.0, 0.0),
-                ];
                 let pixel = &mut frame[y * width + x];
-                if probes.iter().all(|ink| *ink == probes[0]) {
-                    *pixel = probes[0].map_or(*pixel, |ink| ink as f32);
+                let (mut least, mut most) = (DVec2::INFINITY, DVec2::NEG_INFINITY);
+                for (dx, dy) in [(-0.5, -0.5), (0.5, -0.5), (-0.5, 0.5), (0.5, 0.5)] {
+                    let p = place(at + DVec2::new(dx, dy)).unwrap_or(DVec2::NAN);
+                    (least, most) = (least.min(p), most.max(p));
+                }
+                if most.min_element() <= 0.0 || least.max_element() >= samples {
                     continue;
                 }
+                // the pixel lies within the box of its corners: one ink there is its ink
+                if least.min_element() >= 0.0 && most.max_element() < samples {
+                    let first = ink(least.x as usize, least.y as usize);
+                    let (mut columns, rows) =
+                        (least.x as usize..=most.x as usize, least.y as usize..=most.y as usize);
+                    if columns.all(|i| rows.clone().all(|j| ink(i, j) == first)) {
+                        *pixel = first as f32;
+                        continue;
+                    }
+                }
                 let mut sum = 0.0;
-                for k in 0..64 {
-                    let offset = DVec2::new((k % 8) as f64, (k / 8) as f64) / 8.0 - 7.0 / 16.0;
-                    sum += paper(at + offset).unwrap_or(f64::from(*pixel));
+                for k in 0..64u8 {
+                    // Hammersley's points: every column and every row of 64 holds one, so that edges along the
+                    // axes are as exact as others (an 8x8 grid misplaces them by up to 1/16 px)
+                    let offset =
+                        DVec2::new(f64::from(k), f64::from(k.reverse_bits() >> 2)) / 64.0 - 63.0 / 128.0;
+                    let p =
+                        place(at + offset).filter(|p| p.min_element() >= 0.0 && p.max_element() < samples);
+                    sum += p.map_or(f64::from(*pixel), |p| ink(p.x as usize, p.y as usize));
                 }
                 *pixel = (sum / 64.0) as f32;
             }
-        }
-    }
-
-    /// The background under full light.
-    fn behind(&self) -> Vec<f32> {
-        let Size { width, height } = self.lens.size;
-        let mut rng = SplitMix64::new(self.seed);
-        let base = between(&mut rng, 70.0, 200.0);
-        match self.background {
-            Background::Plain => vec![base as f32; width * height],
-            Background::Texture => {
-                let amplitude = between(&mut rng, 20.0, 70.0);
-                let seed = rng.next_u64();
-                let at = |i: usize| {
-                    let (x, y) = ((i % width) as f64, (i / width) as f64);
-                    let rough = smooth(x, y, 23.0, seed)
-                        + 0.5 * smooth(x, y, 9.0, seed + 1)
-                        + 0.25 * smooth(x, y, 3.5, seed + 2);
-                    (base + amplitude * (rough - 0.875)).clamp(5.0, 250.0) as f32
-                };
-                (0..width * height).map(at).collect()
-            }
-            Background::Clutter => clutter(&mut rng, self.lens.size, base),
         }
     }
 }
@@ -422,142 +430,5 @@ pub fn expose(clean: &[f32], size: Size, sigma: f64, rng: &mut SplitMix64) -> Pl
     })
 }
 
-/// Bilinear hash noise in 0..1.
-fn smooth(x: f64, y: f64, cell: f64, seed: u64) -> f64 {
-    let (x, y) = (x / cell, y / cell);
-    let (i, j) = (x as u32, y as u32);
-    let at = |i: u32, j: u32| (crate::pixels::hash_noise(i, j, seed, 0) >> 40) as f64 / (1u64 << 24) as f64;
-    let (s, t) = (x - f64::from(i), y - f64::from(j));
-    (at(i, j) * (1.0 - s) + at(i + 1, j) * s) * (1.0 - t)
-        + (at(i, j + 1) * (1.0 - s) + at(i + 1, j + 1) * s) * t
-}
-
-/// A table full of things: polygons, lines, checkerboards, nested squares, windows, print.
-fn clutter(rng: &mut SplitMix64, size: Size, base: f64) -> Vec<f32> {
-    let Some(mut map) = Pixmap::new(size.width as u32, size.height as u32) else { return Vec::new() };
-    let ink = |gray: f64| {
-        let g = (gray.clamp(0.0, 255.0) + 0.5) as u8;
-        let mut paint = Paint::default();
-        paint.set_color_rgba8(g, g, g, 255);
-        paint
-    };
-    let g = (base / 255.0) as f32;
-    map.fill(Color::from_rgba(g, g, g, 1.0).unwrap_or(Color::BLACK));
-    let (w, h) = (size.width as f64, size.height as f64);
-    let things = (60.0 * (w * h / 307_200.0)) as usize;
-    for _ in 0..things {
-        let center = DVec2::new(rng.f64() * w, rng.f64() * h);
-        let reach = scaled(rng, 6.0, 120.0);
-        let turn = rng.f64() * TAU;
-        let (gray, other) = (between(rng, 10.0, 245.0), between(rng, 10.0, 245.0));
-        let place = Transform::from_rotate_at((turn * 180.0 / PI) as f32, center.x as f32, center.y as f32);
-        let mut rect = |x: f64, y: f64, w: f64, h: f64, gray: f64| {
-            if let Some(rect) =
-                Rect::from_xywh((center.x + x) as f32, (center.y + y) as f32, w as f32, h as f32)
-            {
-                map.fill_rect(rect, &ink(gray), place, None);
-            }
-        };
-        match rng.int(0, 6) {
-            0 => {
-                // nested squares
-                let mut r = reach;
-                let mut k = 0;
-                while r > 3.0 && k < 5 {
-                    rect(-r, -r, 2.0 * r, 2.0 * r, if k % 2 == 0 { gray } else { other });
-                    (r, k) = (r * between(rng, 0.5, 0.85), k + 1);
-                }
-            }
-            1 => {
-                // checkerboard
-                let (n, cell) = (rng.int(3, 8), (reach / 4.0).max(3.0));
-                for i in 0..n * n {
-                    let (x, y) = ((i % n) as f64 * cell, (i / n) as f64 * cell);
-                    rect(x, y, cell, cell, if (i % n + i / n) % 2 == 0 { gray } else { other });
-                }
-            }
-            2 => {
-                // lines of print
-                let height = (reach / 10.0).max(2.0);
-                rect(-reach, -reach, 2.0 * reach, 2.0 * reach, between(rng, 200.0, 245.0));
-                for line in 0..6 {
-                    let mut x = -0.9 * reach;
-                    while x < 0.85 * reach {
-                        let wide = between(rng, 0.3, 1.6) * height;
-                        rect(x, -0.85 * reach + line as f64 * 2.9 * height, wide, 1.6 * height, 30.0);
-                        x += wide + between(rng, 0.2, 0.7) * height;
-                    }
-                }
-            }
-            3 => rect(-reach, -0.6 * reach, 2.0 * reach, 1.2 * reach, gray),
-            kind => {
-                let mut path = PathBuilder::new();
-                let corners = rng.int(3, 8);
-                for i in 0..corners {
-                    let angle = (i as f64 + between(rng, -0.3, 0.3)) / corners as f64 * TAU;
-                    let r = reach * between(rng, 0.4, 1.0);
-                    let (x, y) =
-                        ((center.x + r * libm::cos(angle)) as f32, (center.y + r * libm::sin(angle)) as f32);
-                    if i == 0 { path.move_to(x, y) } else { path.line_to(x, y) }
-                }
-                path.close();
-                let Some(path) = path.finish() else { continue };
-                if kind == 4 {
-                    let width = between(rng, 1.0, 6.0) as f32;
-                    let stroke = Stroke { width, ..Stroke::default() };
-                    map.stroke_path(&path, &ink(gray), &stroke, Transform::identity(), None);
-                } else {
-                    map.fill_path(&path, &ink(gray), FillRule::Winding, Transform::identity(), None);
-                }
-            }
-        }
-    }
-    map.pixels().iter().map(|p| f32::from(p.red())).collect()
-}
-
-/// Separable Gaussian, clamped at the border.
-fn gaussian(frame: &mut [f32], size: Size, sigma: f64) {
-    let radius = (4.0 * sigma).ceil() as isize;
-    let weight = |k: isize| libm::exp(-0.5 * (k as f64 / sigma) * (k as f64 / sigma));
-    let total: f64 = (-radius..=radius).map(weight).sum();
-    let weights: Vec<f32> = (-radius..=radius).map(|k| (weight(k) / total) as f32).collect();
-    let (width, height) = (size.width as isize, size.height as isize);
-    for (across, down) in [(1, 0), (0, 1)] {
-        let from = frame.to_vec();
-        for y in 0..height {
-            for x in 0..width {
-                let mut sum = 0.0;
-                for (k, w) in (-radius..=radius).zip(&weights) {
-                    let u = (x + k * across).clamp(0, width - 1);
-                    let v = (y + k * down).clamp(0, height - 1);
-                    sum += w * from[(v * width + u) as usize];
-                }
-                frame[(y * width + x) as usize] = sum;
-            }
-        }
-    }
-}
-
-/// Mean along a straight way, bilinear steps of a third of a pixel, clamped at the border.
-fn motion(frame: &mut [f32], size: Size, way: DVec2) {
-    let steps = ((3.0 * way.length()).ceil() as usize).max(2);
-    let from = frame.to_vec();
-    let (width, height) = (size.width, size.height);
-    for y in 0..height {
-        for x in 0..width {
-            let mut sum = 0.0;
-            for k in 0..steps {
-                let t = (k as f64 + 0.5) / steps as f64 - 0.5;
-                let p = DVec2::new(x as f64, y as f64) + way * t;
-                let p = p.clamp(DVec2::ZERO, DVec2::new(width as f64 - 1.001, height as f64 - 1.001));
-                let (i, j) = (p.x as usize, p.y as usize);
-                let (s, t) = ((p.x - i as f64) as f32, (p.y - j as f64) as f32);
-                let at = j * width + i;
-                let top = from[at] * (1.0 - s) + from[at + 1] * s;
-                let bottom = from[at + width] * (1.0 - s) + from[at + width + 1] * s;
-                sum += top * (1.0 - t) + bottom * t;
-            }
-            frame[y * width + x] = sum / steps as f32;
-        }
-    }
-}
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,94 @@
+//! The tracker held to the figures of `vernissage bench --tracking`, on a small sample of the same frames.
+
+use vernissage::app::bench::markers::{Difficulty, Setup, Shot, shots};
+use vernissage::app::bench::tally::{Class, Still, Tally, ghosts, quantile};
+use vernissage::marker::Family;
+use vernissage::pixels::{Size, simd};
+use vernissage::track::{Config, Tracker};
+
+const SIZE: Size = Size { width: 640, height: 480 };
+const FAMILY: Family = Family::Tag36h11;
+
+fn tracker() -> Tracker {
+    Tracker::new(Config::default(), simd::best())
+}
+
+fn accuracy(config: Config, taken: &[Shot]) -> Tally {
+    let (mut tally, mut tracker) = (Tally::default(), Tracker::new(config, simd::best()));
+    taken.iter().for_each(|shot| tally.add(&mut tracker, shot));
+    tally
+}
+
+fn say(name: &str, class: &Class) {
+    println!(
+        "{name}: {}/{} found; corners median {:.4} p90 {:.3} p99 {:.3} px; rotation {:.3}°; distance {:.3} %; flips {}",
+        class.found,
+        class.drawn,
+        quantile(&class.corner_px, 0.5),
+        quantile(&class.corner_px, 0.9),
+        quantile(&class.corner_px, 0.99),
+        quantile(&class.rotation_deg, 0.5),
+        quantile(&class.distance_percent, 0.5),
+        class.flipped
+    );
+}
+
+#[test]
+fn markers_are_found_and_sharp() {
+    // of the set's frames some that are as hard as all of them
+    let taken = shots(80..160, 1, |rng, _| Setup::accuracy(rng, SIZE, FAMILY));
+    let tally = accuracy(Config::default(), &taken);
+    let (all, easy) = (tally.all(), tally.class(Difficulty::Easy));
+    say("all", &all);
+    Difficulty::ALL.iter().for_each(|&d| say(d.name(), tally.class(d)));
+    assert!(easy.drawn >= 8 && all.drawn >= 100, "a sample of {} and {}", easy.drawn, all.drawn);
+    assert_eq!(tally.ghosts, 0);
+    assert!(all.recall() >= 0.72, "{}", all.recall());
+    assert!(easy.recall() >= 0.95, "{}", easy.recall());
+    assert!(quantile(&all.corner_px, 0.5) <= 0.04);
+    assert!(quantile(&easy.corner_px, 0.5) <= 0.012);
+    assert!(quantile(&all.corner_px, 0.99) <= 0.6);
+    assert!(quantile(&all.rotation_deg, 0.5) <= 0.2);
+    assert!(quantile(&all.distance_percent, 0.5) <= 0.1);
+    assert!(all.flips() <= 0.03, "{} of {}", all.flipped, all.posed);
+    // the outline alone finds as many and is several times less exact
+    let outline = accuracy(Config { align: false, ..Config::default() }, &taken).all();
+    say("outline", &outline);
+    assert_eq!(outline.found, all.found);
+    assert!(quantile(&outline.corner_px, 0.5) > 2.0 * quantile(&all.corner_px, 0.5));
+}
+
+#[test]
+fn markers_at_rest_are_still() {
+    let taken = shots(18..36, 20, |rng, number| Setup::still(rng, SIZE, FAMILY, number));
+    let (mut still, mut tracker) = (Still::default(), tracker());
+    taken.iter().for_each(|shot| still.add(&mut tracker, shot));
+    let median = still.jitter(None, 0.5);
+    let by_noise = [2.0, 5.0, 10.0].map(|sigma| still.jitter(Some(sigma), 0.5));
+    println!(
+        "{} of {} seen; jitter median {median:.4} px, by noise {by_noise:.4?}",
+        still.steady, still.drawn
+    );
+    assert_eq!((still.steady, still.drawn), (18, 18));
+    assert!(median <= 0.016, "{median}");
+    assert!(by_noise.is_sorted(), "{by_noise:?}");
+}
+
+/// No clutter and no other family's marker is taken for a marker of a family that proves itself.
+#[test]
+fn nothing_is_seen_where_nothing_is() {
+    let taken = shots(0..20, 1, |rng, number| {
+        let other = Family::ALL[number % Family::ALL.len()];
+        Setup::negative(rng, SIZE, other, number % 2 == 1)
+    });
+    let mut tracker = tracker();
+    let mut wrong = Vec::new();
+    let proven = Family::ALL.into_iter().filter(|family| family.chance(family.max_hamming()) < 1e-3);
+    for family in proven {
+        let seen: usize = taken.iter().map(|shot| ghosts(&mut tracker, shot, family)).sum();
+        if seen > 0 {
+            wrong.push((family, seen));
+        }
+    }
+    assert!(wrong.is_empty(), "{wrong:?}");
+}
