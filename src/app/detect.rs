@@ -36,6 +36,12 @@ pub struct Args {
     /// Every picture on its own, or sequences with what is known from the picture before
     #[arg(long, value_enum, default_value_t = Mode::Detect)]
     mode: Mode,
+    /// How much is done to find the hardest markers
+    #[arg(long, value_enum, default_value_t = track::Quality::Normal)]
+    quality: track::Quality,
+    /// Look for markers printed white on black as well
+    #[arg(long)]
+    inverted: bool,
     /// Accepted for uniformity: the output is always JSON lines
     #[arg(long)]
     json: bool,
@@ -122,7 +128,9 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     let pool = super::pool(args.threads)?;
     let jobs = load(&args.job)?;
     pool.install(|| {
-        let mut tracker = Tracker::new(track::Config::default(), simd::best());
+        let config =
+            track::Config { quality: args.quality, inverted: args.inverted, ..track::Config::default() };
+        let mut tracker = Tracker::new(config, simd::best());
         for job in jobs.iter().cycle().take(if jobs.is_empty() { 0 } else { 3 }) {
             tracker.find(job.gray.view(), &job.lens, std::slice::from_ref(&job.wanted));
         }

@@ -91,7 +91,7 @@ impl Default for Config {
 }
 
 /// How much is done to find the hardest markers.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "lowercase")]
 pub enum Quality {
     /// Only the picture at half size: markers of about 24 px and more, a third of the time.

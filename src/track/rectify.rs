@@ -102,11 +102,3 @@ pub fn seen(lens: &Lens, ideal: DVec2) -> DVec2 {
     }
     lens.to_pixel(lens.distort((ideal - lens.center) / lens.focal))
 }
-
-/// The ideal place of a seen point, to the precision of the lens model; `None` where it has none.
-pub fn ideal(lens: &Lens, seen: DVec2) -> Option<DVec2> {
-    if !lens.is_distorted() {
-        return Some(seen);
-    }
-    lens.undistort(seen).map(|p| lens.to_pixel(p))
-}

@@ -94,11 +94,6 @@ impl Search {
         self.quads.extend(self.outlines.iter().filter_map(|o| o.quad));
         &self.quads
     }
-
-    /// The gray range below which the last picture's neighborhoods counted as flat.
-    pub fn limit(&self) -> u8 {
-        self.threshold.limit()
-    }
 }
 
 /// Whether the blob is, by its box, the border of a marker already read.

@@ -88,6 +88,7 @@ impl Threshold {
         &self.mask
     }
 
+    #[cfg(test)]
     /// The gray range below which the last picture's neighborhoods counted as flat.
     pub fn limit(&self) -> u8 {
         self.limit
