@@ -384,6 +384,54 @@ pub fn follow(
     out
 }
 
+/// What following comes to over a few films of each kind.
+#[derive(Clone, Debug, Default)]
+pub struct Report {
+    /// One print at rest, 80 px, noise σ 5; the worst of a frontal and a tilted one.
+    pub still: Followed,
+    /// One print that turns by 10° a second.
+    pub turning: Followed,
+    /// One print in a hand, up to 400 px a second, covered now and then; noise σ 2 to 8.
+    pub hand: Followed,
+    /// Four prints that move, come and go, and are covered.
+    pub hands: Followed,
+}
+
+/// Films of every kind at 640x480, followed on the threads of the present pool.
+pub fn motion(level: Level, repeats: usize) -> Report {
+    let size = Size::new(640, 480);
+    let of = |film: Film| follow(&film, &film.shoot(), &Config::default(), level, repeats);
+    let all = |films: [Film; 2]| {
+        let [a, b] = films.map(of);
+        Followed::both(&a, &b)
+    };
+    Report {
+        still: all([5.0, 35.0].map(|tilt| Film::still(size, 150, 5.0, 80.0, tilt, 1))),
+        turning: of(Film::turning(size, 150, 5.0, 80.0, 2)),
+        hand: all([(2.0, 10), (8.0, 12)].map(|(sigma, seed)| Film::hands(size, 150, sigma, 400.0, 1, seed))),
+        hands: all([(2.0, 30), (8.0, 32)].map(|(sigma, seed)| Film::hands(size, 150, sigma, 400.0, 4, seed))),
+    }
+}
+
+impl Followed {
+    /// Two films as one: counts added, the rest the worse of both, times their mean.
+    fn both(a: &Self, b: &Self) -> Self {
+        let worse =
+            |a: [f64; 2], b: [f64; 2]| [0, 1].map(|i| if b[i].abs() > a[i].abs() { b[i] } else { a[i] });
+        Self {
+            readable: a.readable + b.readable,
+            tracked: a.tracked + b.tracked,
+            wrong: a.wrong + b.wrong,
+            flipped: a.flipped + b.flipped,
+            delay: a.delay.max(b.delay),
+            lag: worse(a.lag, b.lag),
+            jitter: worse(a.jitter, b.jitter),
+            error: worse(a.error, b.error),
+            ms: [0, 1].map(|i| 0.5 * (a.ms[i] + b.ms[i])),
+        }
+    }
+}
+
 /// Mean distance of corners from where they are.
 fn off(corners: &[DVec2; 4], seen: &Seen) -> f64 {
     corners.iter().zip(&seen.corners).map(|(a, b)| (*a - *b).length()).sum::<f64>() * 0.25
