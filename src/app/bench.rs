@@ -2,6 +2,7 @@
 
 mod coherence;
 pub mod markers;
+pub mod motion;
 mod plot;
 mod quality;
 mod steps;

@@ -4,16 +4,16 @@
 //! output line: `{"schema":"markers/1", "image", "ms", "detections"}`, times of the search alone, pictures in memory.
 
 use super::{Failed, say};
+use crate::frame::{Sighting, Solved, State};
 use crate::geometry::Lens;
 use crate::marker::Family;
 use crate::pixels::{Plane, Size, picture, simd};
 use crate::track::{self, Tracker, Wanted};
-use crate::{frame::Sighting, frame::Solved};
 use anyhow::{Context, bail, ensure};
 use glam::DVec2;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 /// Finds markers in the pictures of a job file and prints one JSON line a picture.
 ///
@@ -45,7 +45,7 @@ pub struct Args {
 enum Mode {
     /// Every picture on its own
     Detect,
-    /// State may be carried within one `seq`
+    /// Markers are followed within one `seq`, `frame` counted at 30 a second
     Track,
 }
 
@@ -57,9 +57,8 @@ struct Line {
     size: Option<f64>,
     camera: Option<Camera>,
     #[serde(rename = "seq")]
-    _sequence: Option<i64>,
-    #[serde(rename = "frame")]
-    _frame: Option<i64>,
+    sequence: Option<i64>,
+    frame: Option<i64>,
 }
 
 #[derive(Deserialize)]
@@ -80,6 +79,8 @@ struct Job {
     gray: Plane<u8>,
     lens: Lens,
     wanted: Wanted,
+    sequence: Option<i64>,
+    frame: Option<i64>,
 }
 
 /// A line of the output.
@@ -125,16 +126,32 @@ pub fn run(args: Args) -> anyhow::Result<()> {
         for job in jobs.iter().cycle().take(if jobs.is_empty() { 0 } else { 3 }) {
             tracker.find(job.gray.view(), &job.lens, std::slice::from_ref(&job.wanted));
         }
+        tracker.forget();
         let mut ms = Vec::with_capacity(args.repeat as usize);
+        let (mut last, mut number) = (None, 0);
         for job in &jobs {
             ms.clear();
             let mut detections = Vec::new();
+            let sequence = job.sequence.filter(|_| args.mode == Mode::Track);
+            number = if sequence == last { number + 1 } else { 0 };
+            if sequence != last {
+                tracker.forget();
+            }
+            last = sequence;
+            let number = job.frame.and_then(|frame| u32::try_from(frame).ok()).unwrap_or(number);
+            let at = Duration::from_secs(number.into()) / 30;
             for turn in 0..args.repeat {
                 let start = Instant::now();
-                let sightings = tracker.find(job.gray.view(), &job.lens, std::slice::from_ref(&job.wanted));
+                let wanted = std::slice::from_ref(&job.wanted);
+                let sightings = match sequence {
+                    Some(_) => tracker.follow(job.gray.view(), &job.lens, wanted, at),
+                    None => tracker.find(job.gray.view(), &job.lens, wanted),
+                };
                 ms.push(start.elapsed().as_secs_f64() * 1e3);
                 if turn == 0 {
-                    detections.extend(sightings.iter().map(Detection::from));
+                    // what is out of sight is no detection
+                    let seen = sightings.iter().filter(|sighting| sighting.state != State::Held);
+                    detections.extend(seen.map(Detection::from));
                 }
             }
             let report = Report { schema: "markers/1", image: &job.name, ms: &ms, detections };
@@ -173,7 +190,7 @@ fn job(path: &Path, line: &str) -> anyhow::Result<Job> {
     let name = line.image.file_name().map_or(String::new(), |n| n.to_string_lossy().into_owned());
     // without a size there is no unit: no pose then
     let wanted = Wanted { family, id: None, side_mm: line.size.unwrap_or(f64::NAN) };
-    Ok(Job { name, gray, lens, wanted })
+    Ok(Job { name, gray, lens, wanted, sequence: line.sequence, frame: line.frame })
 }
 
 fn lens(camera: &Camera, size: Size) -> anyhow::Result<Lens> {

@@ -187,7 +187,8 @@ impl Pipeline {
         let plan = self.plan(View::Unknown);
         let sightings = if plan.track.runs {
             let (tracker, luma) = (&mut self.tracker, frame.luma.view());
-            timings.measure(Stage::Track, || tracker.find(luma, &self.camera.lens, &self.wanted))
+            let at = frame.captured_at;
+            timings.measure(Stage::Track, || tracker.follow(luma, &self.camera.lens, &self.wanted, at))
         } else {
             &[]
         };

@@ -300,3 +300,116 @@ fn inverse(a: &Six) -> Option<Six> {
     }
     Some(out)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::pixels::SplitMix64;
+
+    const DT: f64 = 1.0 / 30.0;
+    const SIGMA: f64 = 1e-3;
+
+    /// Every number of the pose measured to `SIGMA`.
+    fn information() -> Six {
+        let mut information = [[0.0; 6]; 6];
+        for (i, row) in information.iter_mut().enumerate() {
+            row[i] = 1.0 / (SIGMA * SIGMA);
+        }
+        information
+    }
+
+    fn at(x: f64) -> Pose {
+        Pose { rotation: DMat3::IDENTITY, translation: DVec3::new(x, 0.0, 8.0) }
+    }
+
+    /// A pose measured with noise.
+    fn noisy(pose: &Pose, rng: &mut SplitMix64) -> Pose {
+        let mut bell = || SIGMA * ((0..12).map(|_| rng.f64()).sum::<f64>() - 6.0);
+        let mut three = || DVec3::new(bell(), bell(), bell());
+        let (turn, shift) = (three(), three());
+        moved(pose, turn, shift)
+    }
+
+    /// Kalata's closed form (1984): with the tracking index Λ = σ_a·dt²/σ the corrected place has the variance
+    /// α·σ², α = 1 - r², r = (4 + Λ - sqrt(8Λ + Λ²))/4.
+    #[test]
+    fn steady_state_is_kalatas() {
+        let mut filter = Filter::new(at(0.0), &information());
+        for _ in 0..3000 {
+            filter.update(&at(0.0), &information(), DT);
+        }
+        let index = ACCELERATION[0] * DT * DT / SIGMA;
+        let r = (4.0 + index - (8.0 * index + index * index).sqrt()) / 4.0;
+        for i in 0..6 {
+            // calm comes after the correction: the last prediction used the least noise
+            let alpha = filter.covariance[i][i] / (SIGMA * SIGMA);
+            assert!((alpha / (1.0 - r * r) - 1.0).abs() < 1e-6, "{i}: {alpha} against {}", 1.0 - r * r);
+        }
+    }
+
+    /// The average at rest is the plain one, newer frames counting a little more.
+    #[test]
+    fn rest_is_the_weighted_mean() {
+        let mut rng = SplitMix64::new(4);
+        let poses: Vec<Pose> = (0..60).map(|_| at(SIGMA * (rng.f64() - 0.5))).collect();
+        let mut filter = Filter::new(poses[0], &information());
+        poses[1..].iter().for_each(|pose| filter.update(pose, &information(), DT));
+        let keep: f64 = 1.0 - 1.0 / LONGEST_REST;
+        let (mut sum, mut weight) = (0.0, 0.0);
+        for pose in &poses {
+            (sum, weight) = (sum * keep + pose.translation.x, weight * keep + 1.0);
+        }
+        assert!((filter.pose().translation.x - sum / weight).abs() < 1e-12);
+        assert!((filter.rest.frames - weight).abs() < 1e-9);
+    }
+
+    /// What moves evenly is not late, what starts to is not for long, and what rests is ten times calmer than its
+    /// measurements.
+    #[test]
+    fn motion_has_no_lag_and_rest_no_shimmer() {
+        let mut rng = SplitMix64::new(9);
+        let mut filter = Filter::new(noisy(&at(0.0), &mut rng), &information());
+        let (mut square, mut count) = (0.0, 0.0);
+        for frame in 1..300 {
+            filter.update(&noisy(&at(0.0), &mut rng), &information(), DT);
+            if frame > 150 {
+                square += filter.pose().translation.x * filter.pose().translation.x;
+                count += 1.0;
+            }
+        }
+        let spread: f64 = square / count;
+        assert!(spread.sqrt() < 0.15 * SIGMA, "{}", spread.sqrt() / SIGMA);
+        // ten deviations a frame from now on
+        let (step, mut late, mut count) = (10.0 * SIGMA, 0.0, 0.0);
+        for frame in 1..100 {
+            let truth = at(step * f64::from(frame));
+            filter.update(&noisy(&truth, &mut rng), &information(), DT);
+            let behind = (truth.translation.x - filter.pose().translation.x) / step;
+            assert!(behind.abs() < 0.6, "frame {frame}: {behind} frames behind");
+            if frame > 10 {
+                (late, count) = (late + behind, count + 1.0);
+            }
+        }
+        assert!((late / count).abs() < 0.05, "{} frames behind", late / count);
+    }
+
+    #[test]
+    fn turns_and_shifts_are_undone() {
+        let mut rng = SplitMix64::new(2);
+        for _ in 0..100 {
+            let mut three = || DVec3::new(rng.f64() - 0.5, rng.f64() - 0.5, rng.f64() - 0.5) * 3.0;
+            let pose = moved(&at(0.0), three(), three());
+            let (turn, shift) = (three(), three());
+            let [back, way] = between(&pose, &moved(&pose, turn, shift));
+            assert!((back - turn).length() < 1e-9 && (way - shift).length() < 1e-12);
+        }
+    }
+
+    #[test]
+    fn nonsense_changes_nothing_but_the_time() {
+        let mut filter = Filter::new(at(0.0), &information());
+        filter.update(&at(0.0), &[[f64::NAN; 6]; 6], DT);
+        filter.update(&at(0.0), &[[0.0; 6]; 6], DT);
+        assert_eq!(filter.pose(), at(0.0));
+    }
+}

@@ -18,14 +18,14 @@ use crate::frame::{Sighting, Solved, State};
 use crate::geometry::{Homography, Lens, Pose};
 use crate::marker::{Family, Ink};
 use crate::pixels::{Plane, PlaneRef, Size, simd};
-use glam::DVec2;
+use glam::{DMat3, DVec2, DVec3};
 use rayon::prelude::*;
 use std::time::Duration;
 
 /// Most markers that are followed.
 const MOST: usize = 64;
 /// Pixels a followed marker is aligned with.
-const SAMPLES: usize = 1000;
+const SAMPLES: usize = 900;
 /// Predictions this good need no thin set first, px; least and most doubt about the others.
 const SURE_PX: f64 = 0.3;
 const LEAST_DOUBT_PX: f64 = 0.4;
@@ -42,10 +42,23 @@ const REMEMBERED: f64 = 0.95;
 const DECIDES: f64 = 20.0;
 /// A minimum that costs more than this, and this times the other's, is not meant.
 const CLEAR: f64 = 40.0;
+/// Most reprojection error of a followed marker: times the last one, and px more.
+const ERROR_GROWS: f64 = 3.0;
+const MOST_ERROR_PX: f64 = 0.5;
 /// Most windows searched in a picture.
 const MOST_WINDOWS: usize = 2;
-/// Frames in which the slices come around.
-const CYCLE: usize = 8;
+/// Longest time a marker is held; a shorter gap between pictures than this is none, s.
+const MOST_HOLD_MS: u32 = 2000;
+const LEAST_GAP: f64 = 0.1;
+/// Frames in which the strips of the picture come around, and the frames from one to the next; in between the halved
+/// picture is searched, one frame in so many. Only markers too small for the halved picture need the strips, and
+/// have room in their overlap.
+const CYCLE: usize = 96;
+const STRIP_EVERY: usize = 4;
+const HALF_EVERY: usize = 6;
+const OVERLAP_PX: f64 = 34.0;
+/// Most blobs that are looked at in a slice.
+const MOST_CANDIDATES: usize = 300;
 
 /// Everything that is carried from one picture to the next.
 #[derive(Debug, Default)]
@@ -57,7 +70,6 @@ pub struct Follow {
     turn: usize,
     window: Search,
     halved: Plane<u8>,
-    found: Vec<Decoded>,
     boxes: Vec<[DVec2; 2]>,
 }
 
@@ -77,6 +89,10 @@ struct Track {
     margin: f64,
     filter: Option<Filter>,
     error_px: f64,
+    /// The pose of this picture alone.
+    measured: Pose,
+    /// From the measured corners to the smoothed ones, ideal px.
+    smoothed: Quad,
     other: Option<Minimum>,
     /// χ² by which the pictures so far prefer our minimum to the other.
     trust: f64,
@@ -96,8 +112,8 @@ struct Scene<'a> {
 impl Tracker {
     /// The wanted markers in view, ordered by family and id, with what is known from the pictures before.
     ///
-    /// `at`: when the picture was taken, on any clock that runs on; a step back or a gap longer than
-    /// [`super::Config::hold_ms`], another lens, size or wish starts anew. Poses are smoothed over time; a marker
+    /// `at`: when the picture was taken, on any clock that runs on; a clock that does not, a gap longer than
+    /// [`super::Config::hold_ms`] (and 100 ms), another lens, size or wish starts anew. Poses are smoothed over time; a marker
     /// out of sight is reported as [`State::Held`] for `hold_ms`. Allocates only when a picture is larger or fuller
     /// than any before.
     pub fn follow(
@@ -109,10 +125,10 @@ impl Tracker {
     ) -> &[Sighting] {
         self.sightings.clear();
         let at = at.as_secs_f64();
-        let hold = f64::from(self.config.hold_ms) * 1e-3;
+        let hold = f64::from(self.config.hold_ms.min(MOST_HOLD_MS)) * 1e-3;
         let follow = &mut self.follow;
         let same = follow.lens == Some(*lens) && follow.wanted == wanted;
-        if !same || at < follow.at || at - follow.at > hold.max(0.1) {
+        if !same || at <= follow.at || at - follow.at > hold.max(LEAST_GAP) {
             follow.tracks.clear();
             follow.tracks.reserve(MOST);
             follow.turn = 0;
@@ -144,8 +160,14 @@ impl Tracker {
         self.follow.tracks.retain(|track| at - track.seen[0].0 <= hold);
         self.follow.drop_doubles();
         self.follow.turn += 1;
-        self.sightings.extend(self.follow.tracks.iter().map(|track| track.sighting(at, lens)));
+        self.sightings
+            .extend(self.follow.tracks.iter().map(|track| track.sighting(at, lens, self.config.smooth)));
         &self.sightings
+    }
+
+    /// Forgets what [`Tracker::follow`] knows: the next picture has nothing to do with the last one.
+    pub fn forget(&mut self) {
+        self.follow.lens = None;
     }
 
     /// Looks for markers out of sight where they may be.
@@ -171,8 +193,13 @@ impl Tracker {
         let Size { width, height } = luma.size();
         let turn = self.follow.turn % CYCLE;
         let (w, h) = (width as f64, height as f64);
-        if turn == 0 {
+        if turn.is_multiple_of(HALF_EVERY) {
             self.search_part(luma, lens, wanted, [DVec2::ZERO, DVec2::new(w, h)], 2);
+        } else if turn % STRIP_EVERY == 1 {
+            let strip = h / (CYCLE / STRIP_EVERY) as f64;
+            let top = strip * (turn / STRIP_EVERY) as f64;
+            let low = DVec2::new(0.0, top - OVERLAP_PX);
+            self.search_part(luma, lens, wanted, [low, DVec2::new(w, top + strip)], 1);
         }
     }
 
@@ -195,7 +222,9 @@ impl Tracker {
         }
         let size = Size::new(right - left, bottom - top);
         let Some(part) = luma.part(left, top, size) else { return };
-        let limits = Limits { step, origin: DVec2::new(left as f64, top as f64), ..self.limits() };
+        let limits = self.limits();
+        let most = limits.most.min(MOST_CANDIDATES);
+        let limits = Limits { step, origin: DVec2::new(left as f64, top as f64), most, ..limits };
         let follow = &mut self.follow;
         follow.boxes.clear();
         let seen = follow.tracks.iter().filter(|track| track.state != State::Held);
@@ -239,7 +268,7 @@ impl Follow {
                 let track = &mut self.tracks[i];
                 track.depth = 0;
                 track.miss_px = MOST_DOUBT_PX;
-                track.observe(scene, &aligned);
+                track.observe(scene, &aligned, true);
                 track.state = State::Found;
             }
             None if self.tracks.len() < MOST => {
@@ -304,12 +333,14 @@ impl Track {
             margin: found.margin,
             filter: None,
             error_px: 0.0,
+            measured: Pose { rotation: DMat3::IDENTITY, translation: DVec3::Z },
+            smoothed: [DVec2::ZERO; 4],
             other: None,
             trust: 0.0,
             miss_px: MOST_DOUBT_PX,
             state: State::Found,
         };
-        track.observe(scene, aligned);
+        track.observe(scene, aligned, true);
         track.hamming = found.reading.hamming;
         Some(track)
     }
@@ -323,25 +354,23 @@ impl Track {
         } else {
             (0.5 * self.miss_px).clamp(LEAST_DOUBT_PX, MOST_DOUBT_PX)
         };
-        let straight = scene.align(self.family, self.id, quad, self.inks, Some((self.blur, doubt)));
-        let straight = straight.filter(|aligned| self.is_it(scene, aligned));
-        let aligned = straight.or_else(|| {
-            let shift = self.nearby(&scene.view, &quad)?;
-            scene
-                .align(
-                    self.family,
-                    self.id,
-                    quad.map(|p| p + shift),
-                    self.inks,
-                    Some((self.blur, MOST_DOUBT_PX)),
-                )
-                .filter(|aligned| self.is_it(scene, aligned))
-        });
-        if let Some(aligned) = aligned {
-            let miss = (0..4).map(|i| (aligned.quad[i] - quad[i]).length()).fold(0.0, f64::max);
-            self.miss_px = miss.max(0.7 * self.miss_px);
-            self.observe(scene, &aligned);
-            self.state = State::Followed;
+        let mut start = (quad, doubt);
+        for retry in [false, true] {
+            if retry {
+                let Some(shift) = self.nearby(&scene.view, &quad) else { return };
+                start = (quad.map(|p| p + shift), MOST_DOUBT_PX);
+            }
+            let blur = Some((self.blur, start.1));
+            let aligned = scene.align(self.family, self.id, start.0, self.inks, blur);
+            if let Some(aligned) = aligned
+                && self.is_it(scene, &aligned)
+                && self.observe(scene, &aligned, false)
+            {
+                let miss = (0..4).map(|i| (aligned.quad[i] - quad[i]).length()).fold(0.0, f64::max);
+                self.miss_px = miss.max(0.7 * self.miss_px);
+                self.state = State::Followed;
+                return;
+            }
         }
     }
 
@@ -449,7 +478,7 @@ impl Track {
             sum
         };
         let mut best = (i32::MAX, 0, 0);
-        let mut try_at = |dx: i32, dy: i32, best: &mut (i32, i32, i32)| {
+        let try_at = |dx: i32, dy: i32, best: &mut (i32, i32, i32)| {
             let sum = cost(dx, dy);
             if sum < best.0 {
                 *best = (sum, dx, dy);
@@ -473,10 +502,14 @@ impl Track {
         likely.then(|| DVec2::new(f64::from(best.1), f64::from(best.2)))
     }
 
-    /// Takes what was measured in this picture.
-    fn observe(&mut self, scene: &Scene<'_>, aligned: &Aligned) {
+    /// Takes what was measured in this picture; unless it was read there (`read`), only if some pose explains it about
+    /// as well as those before.
+    fn observe(&mut self, scene: &Scene<'_>, aligned: &Aligned, read: bool) -> bool {
         let dt = scene.at - self.seen[0].0;
-        if self.depth > 0 && dt > 0.0 {
+        if !self.solve(scene.view.lens, aligned, dt, read) {
+            return false;
+        }
+        if self.depth > 0 {
             // after a while out of sight the places before say nothing about the next one
             self.depth = if dt > 0.12 { 0 } else { self.depth.min(2) };
             self.seen = [self.seen[0], self.seen[0], self.seen[1]];
@@ -484,11 +517,11 @@ impl Track {
         self.seen[0] = (scene.at, aligned.quad);
         self.depth = (self.depth + 1).min(3);
         (self.inks, self.blur) = (aligned.inks, aligned.blur);
-        self.solve(scene.view.lens, aligned, dt);
+        true
     }
 
     /// Both minima, and which of them is ours.
-    fn solve(&mut self, lens: &Lens, aligned: &Aligned, dt: f64) {
+    fn solve(&mut self, lens: &Lens, aligned: &Aligned, dt: f64, read: bool) -> bool {
         let lens = Lens { distortion: [0.0; 8], ..*lens };
         let mut weights = [[0.0; 8]; 8];
         for i in 0..8 {
@@ -497,9 +530,14 @@ impl Track {
             }
         }
         let [Some(best), other] = solve::minima(&aligned.quad, &weights, 1.0, &lens) else {
-            (self.filter, self.other) = (None, None);
-            return;
+            if read {
+                (self.filter, self.other, self.smoothed) = (None, None, [DVec2::ZERO; 4]);
+            }
+            return read;
         };
+        if !read && best.error_px > ERROR_GROWS * self.error_px + MOST_ERROR_PX {
+            return false;
+        }
         let (mut ours, mut other) = (best, other);
         if let Some(their) = other {
             if let Some(filter) = &self.filter {
@@ -516,23 +554,44 @@ impl Track {
                 (self.filter, self.trust) = (None, -self.trust);
             }
         }
-        match &mut self.filter {
-            Some(filter) => filter.update(&ours.pose, &ours.information, dt),
-            None => self.filter = Some(Filter::new(ours.pose, &ours.information)),
+        let filter = match &mut self.filter {
+            Some(filter) => {
+                filter.update(&ours.pose, &ours.information, dt);
+                filter
+            }
+            None => self.filter.insert(Filter::new(ours.pose, &ours.information)),
+        };
+        // what no pose explains (a lens not quite as told) stays as measured
+        let smooth = filter.pose();
+        self.smoothed = [DVec2::ZERO; 4];
+        for (shift, corner) in self.smoothed.iter_mut().zip(solve::corners_mm(1.0)) {
+            let seen = |pose: &Pose| lens.project(pose.apply(corner));
+            if let (Some(smooth), Some(measured)) = (seen(&smooth), seen(&ours.pose)) {
+                *shift = smooth - measured;
+            }
         }
-        (self.error_px, self.other) = (ours.error_px, other);
+        (self.measured, self.error_px, self.other) = (ours.pose, ours.error_px, other);
+        true
     }
 
-    fn sighting(&self, at: f64, lens: &Lens) -> Sighting {
+    fn sighting(&self, at: f64, lens: &Lens, smooth: bool) -> Sighting {
         let held = self.state == State::Held;
-        let quad = if held { self.expected(at) } else { self.seen[0].1 };
+        let quad = if held {
+            self.expected(at)
+        } else {
+            std::array::from_fn(|i| self.seen[0].1[i] + self.smoothed[i] * f64::from(u8::from(smooth)))
+        };
         let usable = self.side_mm.is_finite() && self.side_mm > 0.0;
         let scaled = |pose: Pose, error_px: f64| {
             let translation = pose.translation * self.side_mm;
             usable.then_some(Solved { pose: Pose { translation, ..pose }, error_px })
         };
         let pose = self.filter.as_ref().and_then(|filter| {
-            let pose = if held { filter.ahead(at - self.seen[0].0) } else { filter.pose() };
+            let pose = match (held, smooth) {
+                (true, _) => filter.ahead(at - self.seen[0].0),
+                (_, true) => filter.pose(),
+                _ => self.measured,
+            };
             scaled(pose, self.error_px)
         });
         Sighting {
@@ -552,4 +611,96 @@ impl Track {
 fn cell(column: f64, row: f64, cells: usize) -> DVec2 {
     let size = 2.0 / cells as f64;
     DVec2::new((column + 0.5) * size - 1.0, 1.0 - (row + 0.5) * size)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::track::Config;
+
+    /// A gray wall with a print whose border begins at a place; `None`: the wall alone.
+    fn picture(print: Option<(u32, usize, usize)>) -> Plane<u8> {
+        let zoom = 8;
+        Plane::from_fn(Size::new(320, 240), |x, y| {
+            let ink = print.and_then(|(id, left, top)| {
+                let print = Family::Tag36h11.picture(id)?;
+                let (x, y) = (x.checked_sub(left - zoom)? / zoom, y.checked_sub(top - zoom)? / zoom);
+                (x < print.size().width && y < print.size().height).then(|| print.at(x, y))
+            });
+            ink.map_or(128, |ink| 40 + ink / 2)
+        })
+    }
+
+    fn wanted() -> [Wanted; 1] {
+        [Wanted { family: Family::Tag36h11, id: None, side_mm: 80.0 }]
+    }
+
+    fn frame(number: u32) -> Duration {
+        Duration::from_secs(number.into()) / 30
+    }
+
+    #[test]
+    fn what_is_out_of_sight_is_held_and_then_lost() {
+        let lens = Lens::guess(Size::new(320, 240));
+        let mut tracker = Tracker::new(Config::default(), simd::Level::fallback());
+        let mut states = Vec::new();
+        for number in 0..24 {
+            let x = 90 + number as usize;
+            let there = (number < 10).then_some((17, x, 70));
+            let seen = tracker.follow(picture(there).view(), &lens, &wanted(), frame(number));
+            states.push(seen.first().map(|sighting| sighting.state));
+            if let Some(sighting) = seen.first() {
+                let corner = DVec2::new(x as f64 - 0.5, 69.5);
+                let off = (sighting.corners[0] - corner).length();
+                assert!(off < if number < 10 { 0.1 } else { 1.0 }, "frame {number}: {off}");
+            }
+        }
+        assert_eq!(states[0], Some(State::Found));
+        assert!(states[1..10].iter().all(|state| *state == Some(State::Followed)), "{states:?}");
+        // 200 ms are 6 frames
+        assert!(states[10..16].iter().all(|state| *state == Some(State::Held)), "{states:?}");
+        assert!(states[16..].iter().all(Option::is_none), "{states:?}");
+    }
+
+    #[test]
+    fn another_marker_in_the_same_place_is_another_marker() {
+        let lens = Lens::guess(Size::new(320, 240));
+        let mut tracker = Tracker::new(Config::default(), simd::Level::fallback());
+        for number in 0..20 {
+            let id = if number < 10 { 17 } else { 18 };
+            let seen = tracker.follow(picture(Some((id, 90, 70))).view(), &lens, &wanted(), frame(number));
+            let seen: Vec<(u32, State)> = seen.iter().map(|s| (s.id, s.state)).collect();
+            match number {
+                0 => assert_eq!(seen, [(17, State::Found)]),
+                1..10 => assert_eq!(seen, [(17, State::Followed)]),
+                10 => assert_eq!(seen, [(17, State::Held), (18, State::Found)]),
+                _ => assert_eq!(seen.last(), Some(&(18, State::Followed))),
+            }
+            if number > 16 {
+                assert_eq!(seen.len(), 1, "the other is forgotten");
+            }
+        }
+    }
+
+    #[test]
+    fn a_clock_that_does_not_run_on_starts_anew() {
+        let lens = Lens::guess(Size::new(320, 240));
+        let mut tracker = Tracker::new(Config::default(), simd::Level::fallback());
+        let there = picture(Some((17, 90, 70)));
+        for (number, state) in [
+            (5, State::Found),
+            (6, State::Followed),
+            (6, State::Found),
+            (7, State::Followed),
+            (3, State::Found),
+            (4, State::Followed),
+            (60, State::Found),
+        ] {
+            let seen = tracker.follow(there.view(), &lens, &wanted(), frame(number));
+            assert_eq!(seen.first().map(|s| s.state), Some(state), "at frame {number}");
+        }
+        let other = Lens { focal: lens.focal * 1.1, ..lens };
+        let seen = tracker.follow(there.view(), &other, &wanted(), frame(61));
+        assert_eq!(seen.first().map(|s| s.state), Some(State::Found), "another lens");
+    }
 }

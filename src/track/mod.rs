@@ -6,8 +6,9 @@
 //! `align` (sub-pixel corners from the whole print) → `solve` (both poses). Every step refuses early what cannot
 //! be a marker, and the work on a picture of noise is bounded.
 //!
-//! Every picture is searched on its own; nothing is carried from one to the next. The result does not depend
-//! on the number of threads nor on the SIMD level.
+//! `Tracker::find` searches every picture on its own. `Tracker::follow` (`follow`) expects what it saw before,
+//! aligns it without search, and smooths poses over time (`filter`). The result does not depend on the number of
+//! threads nor on the SIMD level.
 
 mod align;
 mod contour;
@@ -69,6 +70,9 @@ pub struct Config {
     /// How long a followed marker that is out of sight is still reported where it would be, ms (0..=2000).
     /// Default 200.
     pub hold_ms: u32,
+    /// Whether poses and corners of followed markers are smoothed over time: calm at rest, not late in motion.
+    /// Default true.
+    pub smooth: bool,
 }
 
 impl Default for Config {
@@ -81,6 +85,7 @@ impl Default for Config {
             quality: Quality::Normal,
             inverted: false,
             hold_ms: 200,
+            smooth: true,
         }
     }
 }

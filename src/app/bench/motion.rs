@@ -171,7 +171,14 @@ impl Film {
             let to = if k == 0 { frames } else { frames - rng.int(0, frames as i64 / 3) as usize };
             let covered = rng.int(30, (frames as i64 - 20).max(31)) as usize;
             let covered = Some([covered, covered + rng.int(3, 8) as usize]);
-            film.movers.push(Mover { id: 7 + 11 * k as u32, center, side_px, turn_deg, there: [from, to], covered });
+            film.movers.push(Mover {
+                id: 7 + 11 * k as u32,
+                center,
+                side_px,
+                turn_deg,
+                there: [from, to],
+                covered,
+            });
         }
         film
     }
@@ -342,7 +349,13 @@ pub struct Followed {
 }
 
 /// Follows the film's markers; times are the least of `repeats` runs, picture by picture.
-pub fn follow(film: &Film, pictures: &[Plane<u8>], config: &Config, level: Level, repeats: usize) -> Followed {
+pub fn follow(
+    film: &Film,
+    pictures: &[Plane<u8>],
+    config: &Config,
+    level: Level,
+    repeats: usize,
+) -> Followed {
     let wanted = [Wanted { family: film.family, id: None, side_mm: SIDE_MM }];
     let mut times = vec![f64::MAX; pictures.len()];
     let mut out = Followed::default();

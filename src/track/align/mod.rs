@@ -41,6 +41,8 @@ const PATIENCE: [usize; 2] = [8, 6];
 const SETTLED_PX: f64 = 0.25;
 /// How many of these steps, on either set, find the matrix of the equations anew.
 const FRESH: [usize; 2] = [9, 9];
+/// The same where the blur is known.
+const FRESH_KNOWN: [usize; 2] = [3, 9];
 /// A step shorter than this, px, was the last one on either set.
 const ENOUGH_PX: [f64; 2] = [0.1, 0.1];
 /// Pixels of the thin set.
@@ -140,7 +142,8 @@ pub fn align(view: &View<'_>, start: &Start, rectify: &Rectify, level: simd::Lev
         if let (true, Some(blur)) = (whole, start.blur) {
             fit.blur = blur.map(|v| v * unit * unit);
         }
-        let steps = if start.blur.is_some() { PATIENCE } else { STEPS }[usize::from(whole)];
+        let (steps, fresh) = if start.blur.is_some() { (PATIENCE, FRESH_KNOWN) } else { (STEPS, FRESH) };
+        let steps = steps[usize::from(whole)];
         let (most, grow) = if whole { (most, 1.15) } else { (THIN_SAMPLES, 1.33) };
         dispatch!(level, simd => gather::gather(simd, view, rectify, &fit, &pattern, most, grow, &mut samples));
         if samples.count < 4 * UNKNOWNS {
@@ -149,7 +152,7 @@ pub fn align(view: &View<'_>, start: &Start, rectify: &Rectify, level: simd::Lev
         let mut a = None;
         for turn in 0..steps {
             // near the end A changes no more
-            let fresh = turn < FRESH[usize::from(whole)] || a.is_none();
+            let fresh = turn < fresh[usize::from(whole)] || a.is_none();
             let mut sums =
                 dispatch!(level, simd => equations::normal(simd, &samples, &pattern, &fit, fresh))?;
             match a {
@@ -369,6 +372,7 @@ mod tests {
                 levels: [60.0, 3.0, -4.0, 90.0, 5.0, 6.0],
                 blur: [unit, 0.2 * unit, 0.7 * unit],
                 reach: 1e9,
+                rigid: false,
             };
             let mut samples = Samples::default();
             let level = simd::best();
