@@ -217,6 +217,7 @@ mod tests {
             margin: 50.0,
             pose: Some(Solved { pose: truth.pose, error_px: 0.0 }),
             pose_alt: None,
+            state: crate::frame::State::Found,
         };
         let sightings = truth.iter().map(sighting).collect();
         (truth, sightings)
