@@ -376,13 +376,15 @@ impl Track {
         }
     }
 
-    /// Where it should be: constant acceleration from three places, velocity from two.
+    /// Where it should be: constant acceleration from three places in the next frame, constant velocity from two
+    /// and while it is out of sight, at most `MOST_AHEAD_S` far.
     fn expected(&self, at: f64) -> Quad {
         let [(t0, a), (t1, b), (t2, c)] = self.seen;
+        let unseen = at - t0 > 1.5 * (t0 - t1);
         let weights = match self.depth {
             0 | 1 => [1.0, 0.0, 0.0],
-            2 => {
-                let s = (at - t0) / (t0 - t1);
+            depth if depth == 2 || unseen => {
+                let s = (at - t0).min(MOST_AHEAD_S) / (t0 - t1);
                 [1.0 + s, -s, 0.0]
             }
             _ => [
@@ -590,7 +592,7 @@ impl Track {
         };
         let pose = self.filter.as_ref().and_then(|filter| {
             let pose = match (held, smooth) {
-                (true, _) => filter.ahead(at - self.seen[0].0),
+                (true, _) => filter.ahead((at - self.seen[0].0).min(MOST_AHEAD_S)),
                 (_, true) => filter.pose(),
                 _ => self.measured,
             };
@@ -614,6 +616,9 @@ fn cell(column: f64, row: f64, cells: usize) -> DVec2 {
     let size = 2.0 / cells as f64;
     DVec2::new((column + 0.5) * size - 1.0, 1.0 - (row + 0.5) * size)
 }
+
+/// How long a marker out of sight is thought to go on as it did.
+const MOST_AHEAD_S: f64 = 0.1;
 
 #[cfg(test)]
 mod tests {

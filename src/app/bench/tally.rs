@@ -199,7 +199,7 @@ pub fn quantile(values: &[f64], q: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::frame::{Solved, State};
+    use crate::frame::Solved;
     use crate::geometry::Pose;
     use crate::pixels::{Size, SplitMix64};
     use glam::DMat3;
@@ -217,7 +217,7 @@ mod tests {
             margin: 50.0,
             pose: Some(Solved { pose: truth.pose, error_px: 0.0 }),
             pose_alt: None,
-            state: State::Found,
+            state: crate::frame::State::Found,
         };
         let sightings = truth.iter().map(sighting).collect();
         (truth, sightings)

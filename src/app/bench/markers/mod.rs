@@ -126,7 +126,12 @@ pub fn shots(
 
 impl Light {
     /// An even, full light.
-    pub const EVEN: Light = Light { level: 1.0, ramp: DVec2::ZERO, shadow: None };
+    pub const EVEN: Light = Light::even(1.0);
+
+    /// An even light, `level` of the full one.
+    pub const fn even(level: f64) -> Self {
+        Light { level, ramp: DVec2::ZERO, shadow: None }
+    }
 
     fn random(rng: &mut SplitMix64, size: Size) -> Self {
         let kind = rng.f64();
