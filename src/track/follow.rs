@@ -240,7 +240,14 @@ impl Tracker {
         let quads = search.quads(picture, &self.rectify, limits, &follow.boxes, self.level);
         let view = View::new(luma, lens);
         self.decoded.extend(quads.iter().filter_map(|quad| {
-            super::read(&view, quad, crate::marker::Polarity::BlackOnWhite, wanted, &self.patterns)
+            super::read(
+                &view,
+                quad,
+                crate::marker::Polarity::BlackOnWhite,
+                limits.step,
+                wanted,
+                &self.patterns,
+            )
         }));
     }
 }
@@ -660,13 +667,11 @@ mod tests {
             if let Some(sighting) = seen.first() {
                 let corner = DVec2::new(x as f64 - 0.5, 69.5);
                 let off = (sighting.corners[0] - corner).length();
-                // the first frames teach the filter how fast it goes
-                let bound = if number < 6 {
-                    0.15
-                } else if number < 10 {
-                    0.1
-                } else {
-                    1.0
+                // the first frames teach the filter how fast it goes; out of sight it goes on for 3 frames
+                let bound = match number {
+                    0..6 => 0.15,
+                    6..10 => 0.1,
+                    _ => 1.0 + f64::from(number).max(12.0) - 12.0,
                 };
                 assert!(off < bound, "frame {number}: {off}");
             }

@@ -241,6 +241,7 @@ impl Tracker {
                 _ => (&mut self.quarter, self.quartered.view()),
             };
             self.candidates.clear();
+            self.candidates.reserve(2 * limits.most);
             let quads = search.quads(picture, &self.rectify, limits, &self.known, self.level);
             let polarity = Polarity::BlackOnWhite;
             self.candidates.extend(quads.iter().map(|&quad| Candidate { quad, polarity, found: None }));
@@ -251,13 +252,16 @@ impl Tracker {
                 self.candidates.extend(quads.iter().map(|&quad| Candidate { quad, polarity, found: None }));
             }
             self.candidates.par_iter_mut().with_min_len(4).for_each(|candidate| {
-                candidate.found = read(&view, &candidate.quad, candidate.polarity, wanted, patterns);
+                let Candidate { quad, polarity, .. } = *candidate;
+                candidate.found = read(&view, &quad, polarity, step, wanted, patterns);
             });
             self.decoded.extend(self.candidates.iter().filter_map(|c| c.found));
             // what was read, and what was seen to be no marker
+            let weak = wanted.iter().any(|w| is_weak(w.family));
             self.known.extend(
                 self.candidates
                     .iter()
+                    .filter(|candidate| candidate.found.is_some() || !weak)
                     .map(|candidate| bounds(&candidate.quad.map(|p| rectify::seen(lens, p))))
                     .filter(|[low, high]| {
                         (*high - *low).max_element() >= LEAST_KNOWN_PX * f64::from(step / 2)
@@ -273,12 +277,13 @@ fn read(
     view: &View<'_>,
     quad: &Quad,
     polarity: Polarity,
+    step: u32,
     wanted: &[Wanted],
     patterns: &Patterns,
 ) -> Option<Decoded> {
     let mut best: Option<Decoded> = None;
     for family in Family::ALL {
-        if !wanted.iter().any(|w| w.family == family) {
+        if !wanted.iter().any(|w| w.family == family) || (step > 1 && is_weak(family)) {
             continue;
         }
         let found = decode::decode(view, quad, family, polarity)
@@ -291,11 +296,17 @@ fn read(
             best = Some(found);
         }
     }
-    if best.is_none() && wanted.iter().any(|w| w.family == Family::Pattern) {
+    if best.is_none() && step == 1 && wanted.iter().any(|w| w.family == Family::Pattern) {
         best = decode::decode_picture(view, quad, patterns, polarity)
             .filter(|found| wish(wanted, Family::Pattern, found.reading.id).is_some());
     }
     best
+}
+
+/// Whether what looks a little like a marker is easily read as one of this family: short codes, and pictures. They
+/// are read in the whole picture only, where outlines are exact.
+fn is_weak(family: Family) -> bool {
+    family == Family::Pattern || family.chance(0) > 0.05
 }
 
 /// Least and greatest corner of the box around a quad.

@@ -32,6 +32,8 @@ pub struct Search {
     contours: Vec<Crack>,
     outlines: Vec<Outline>,
     quads: Vec<Quad>,
+    /// Area of the largest picture that there is room for.
+    roomy: usize,
 }
 
 /// What a search looks for.
@@ -50,6 +52,24 @@ pub struct Limits {
 }
 
 impl Search {
+    /// Room for a picture full of things, so that a fuller one seldom asks for more.
+    fn reserve(&mut self, size: Size, most: usize) {
+        if size.area() <= self.roomy {
+            return;
+        }
+        self.roomy = size.area();
+        self.segment.reserve(size);
+        let room = size.area() / CRACKS_PER_PIXEL;
+        self.contours.clear();
+        self.contours.reserve(room);
+        self.outlines.clear();
+        self.outlines.reserve(most);
+        self.quads.clear();
+        self.quads.reserve(most);
+        self.order.clear();
+        self.order.reserve(room / 8);
+    }
+
     /// The quads of a picture, but those whose box (least and greatest corner, px of the whole picture) is
     /// known already. Allocates only when a picture is larger or fuller than any before.
     pub fn quads(
@@ -60,6 +80,7 @@ impl Search {
         known: &[[DVec2; 2]],
         level: Level,
     ) -> &[Quad] {
+        self.reserve(luma.size(), limits.most);
         self.threshold.apply(luma, limits.least_contrast, level);
         let mask = self.threshold.mask();
         let blobs = self.segment.blobs(mask, limits.least_side_px);
@@ -95,6 +116,9 @@ impl Search {
         &self.quads
     }
 }
+
+/// Cracks that have room, for every pixel of the picture: contours of a picture full of things.
+const CRACKS_PER_PIXEL: usize = 8;
 
 /// Whether the blob is, by its box, the border of a marker already read.
 fn covers(known: &[DVec2; 2], blob: &Blob, limits: Limits) -> bool {

@@ -5,6 +5,7 @@
 //! Blobs that cannot be a marker's border are left out at once.
 
 use super::threshold::Mask;
+use crate::pixels::Size;
 
 /// A connected set of dark pixels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -44,6 +45,21 @@ pub struct Segment {
 }
 
 impl Segment {
+    /// Room for a picture full of things.
+    pub fn reserve(&mut self, size: Size) {
+        let (row, blobs) = (size.width / 2 + 1, size.area() / 64);
+        for runs in [&mut self.above, &mut self.row] {
+            runs.clear();
+            runs.reserve(row);
+        }
+        self.parent.clear();
+        self.parent.reserve(blobs);
+        self.blobs.clear();
+        self.blobs.reserve(blobs);
+        self.kept.clear();
+        self.kept.reserve(blobs / 4);
+    }
+
     /// The blobs whose larger extent is at least `least_px` and which stay clear of the picture's border,
     /// in the order of their starts (rows first). Allocates only when a picture holds more than any before.
     pub fn blobs(&mut self, mask: &Mask, least_px: u32) -> &[Blob] {
