@@ -34,16 +34,15 @@ fn a_fade_mixes_whole_pictures_of_both_styles() {
     let mut camera = camera(SyntheticConfig::default());
     let mut live = pipeline(teapot(), &camera, &named(StyleName::Cartoon));
     let mut old = pipeline(teapot(), &camera, &named(StyleName::Cartoon));
-    // re-tiled from frame to frame: must begin when it is asked for
-    let mut new = pipeline(teapot(), &camera, &named(StyleName::Watercolor));
+    let mut new = pipeline(teapot(), &camera, &named(StyleName::Illustrative));
     let mut frame = Frame::default();
     let mut shares = Vec::new();
     for number in 0..10 {
         assert!(camera.next(&mut frame));
         if number == 4 {
-            live.switch(&named(StyleName::Watercolor));
+            live.switch(&named(StyleName::Illustrative));
             assert!(live.plan(View::Models(1)).fade.runs);
-            assert_eq!(live.style(), StyleName::Watercolor);
+            assert_eq!(live.style(), StyleName::Illustrative);
         }
         let before = old.draw_frame(&frame).canvas.clone();
         // every pipeline sees every frame: trackers remember

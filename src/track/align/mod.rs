@@ -180,7 +180,9 @@ pub fn align(view: &View<'_>, start: &Start, rectify: &Rectify, level: simd::Lev
     let corner = |x: f64, y: f64| center + map.apply(DVec2::new(x, y)) * scale;
     let quad = [corner(-1.0, 1.0), corner(1.0, 1.0), corner(1.0, -1.0), corner(-1.0, -1.0)];
     let cell = scale / pattern.cells as f64;
-    let near = quad.iter().zip(&start.quad).all(|(p, q)| (*p - *q).length() <= (0.6 * cell).max(1.5));
+    // of a picture only the border is known: that leads less far
+    let reach_px = if pattern.picture.is_some() { 1.0 } else { (0.6 * cell).max(1.5) };
+    let near = quad.iter().zip(&start.quad).all(|(p, q)| (*p - *q).length() <= reach_px);
     if !(near && quad::is_convex(&quad)) {
         return None;
     }
