@@ -75,9 +75,9 @@ pub fn normal<S: Simd>(
                     row[g] = [0.0; LANES];
                 }
             } else if narrow {
-                weights = weights + model.rows::<1>(samples, at, count, g, &mut block);
+                weights += model.rows::<1>(samples, at, count, g, &mut block);
             } else {
-                weights = weights + model.rows::<3>(samples, at, count, g, &mut block);
+                weights += model.rows::<3>(samples, at, count, g, &mut block);
             }
         }
         accumulate(simd, &block, UNKNOWNS, &mut right);
@@ -97,8 +97,8 @@ pub fn normal<S: Simd>(
         weights: total(weights.as_slice()),
     };
     let mut k = 0;
-    for row in 0..UNKNOWNS {
-        sums.b[row] = total(&right[row]);
+    for (row, right) in right[..UNKNOWNS].iter().enumerate() {
+        sums.b[row] = total(right);
         for column in 0..=row {
             sums.a[row][column] = total(&products[k]);
             k += 1;
@@ -227,9 +227,9 @@ impl<S: Simd> Model<'_, S> {
                     line = ink;
                 } else {
                     let step = ink - before;
-                    line = line + step * across.value[i - 1];
-                    slope = slope + step * across.slope[i - 1];
-                    wide = wide + step * across.by_width[i - 1];
+                    line += step * across.value[i - 1];
+                    slope += step * across.slope[i - 1];
+                    wide += step * across.by_width[i - 1];
                 }
                 before = ink;
             }
@@ -237,11 +237,11 @@ impl<S: Simd> Model<'_, S> {
                 (value, by_u, by_wide_u) = (line, slope, wide);
             } else {
                 let step = line - above.0;
-                value = value + step * down.value[j - 1];
-                by_v = by_v + step * down.slope[j - 1];
-                by_u = by_u + (slope - above.1) * down.value[j - 1];
-                by_wide_u = by_wide_u + (wide - above.2) * down.value[j - 1];
-                by_wide_v = by_wide_v + step * down.by_width[j - 1];
+                value += step * down.value[j - 1];
+                by_v += step * down.slope[j - 1];
+                by_u += (slope - above.1) * down.value[j - 1];
+                by_wide_u += (wide - above.2) * down.value[j - 1];
+                by_wide_v += step * down.by_width[j - 1];
             }
             above = (line, slope, wide);
         }
