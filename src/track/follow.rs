@@ -534,13 +534,7 @@ impl Track {
     /// Both minima, and which of them is ours.
     fn solve(&mut self, lens: &Lens, aligned: &Aligned, dt: f64, read: bool) -> bool {
         let lens = Lens { distortion: [0.0; 8], ..*lens };
-        let mut weights = [[0.0; 8]; 8];
-        for i in 0..8 {
-            for j in 0..8 {
-                weights[i][j] = aligned.information[i.max(j)][i.min(j)];
-            }
-        }
-        let [Some(best), other] = solve::minima(&aligned.quad, &weights, 1.0, &lens) else {
+        let [Some(best), other] = solve::minima(&aligned.quad, &aligned.information, 1.0, &lens) else {
             if read {
                 (self.filter, self.other, self.smoothed) = (None, None, [DVec2::ZERO; 4]);
             }

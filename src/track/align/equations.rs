@@ -256,7 +256,7 @@ impl<S: Simd> Model<'_, S> {
         if at + LANES > count {
             let mut mask = [0.0; LANES];
             mask[..count - at].fill(1.0);
-            root = root * f32x8::simd_from(simd, mask);
+            root *= f32x8::simd_from(simd, mask);
         }
         let contrast = step * root;
         // moving the pattern by d changes the pixel by -step · gradient · d

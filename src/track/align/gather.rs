@@ -184,7 +184,7 @@ impl<S: Simd> Near<'_, S> {
                 & (u - wide_u).simd_lt(to)
                 & (v + wide_v).simd_gt(from)
                 & (v - wide_v).simd_lt(to);
-            inside = inside & !touched;
+            inside &= !touched;
         }
         let flats = inside.to_bitmask() as u32 & (1 << flat);
         let (first, last) = (f32x8::splat(simd, 0.0), f32x8::splat(simd, cells));

@@ -245,6 +245,7 @@ impl Fit {
 
     /// The corners' inverse covariance: that of the homography with everything else eliminated (Schur's
     /// complement), carried over to the corners.
+    #[expect(clippy::needless_range_loop, reason = "the textbook's indices")]
     fn information(&self, a: &[[f64; UNKNOWNS]; UNKNOWNS], variance: f64) -> Option<[[f64; 8]; 8]> {
         // eliminate from the last unknown to the ninth
         let mut a = *a;

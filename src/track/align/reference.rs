@@ -11,7 +11,7 @@ use glam::DVec2;
 fn kernel(z: f64) -> (f64, f64) {
     let z = z.clamp(-1.0, 1.0);
     let bell = 15.0 / 16.0 * (1.0 - z * z) * (1.0 - z * z);
-    (0.5 + 15.0 / 16.0 * (z - 2.0 / 3.0 * z.powi(3) + z.powi(5) / 5.0), bell)
+    (0.5 + 15.0 / 16.0 * (z - 2.0 / 3.0 * z * z * z + z * z * z * z * z / 5.0), bell)
 }
 
 /// The weight of cell `i` at `u` for a kernel of half-width `w`, and its derivatives by u and by ln w.
@@ -66,8 +66,9 @@ fn row(family: Family, id: u32, fit: &Fit, p: DVec2, gray: f64) -> (f64, [f64; s
     let g = (grad_u * by_u + grad_v * by_v) * (-step / w);
     let inward = -g.dot(p);
     let size = 0.5 * (xx + yy);
-    let blur =
-        |a: f64, b: f64| step * size * (by_wide_u * a / wide_u.powi(2) + by_wide_v * b / wide_v.powi(2));
+    let blur = |a: f64, b: f64| {
+        step * size * (by_wide_u * a / (wide_u * wide_u) + by_wide_v * b / (wide_v * wide_v))
+    };
     let derivatives = [
         g.x * h.x,
         g.x * h.y,
@@ -87,7 +88,8 @@ fn row(family: Family, id: u32, fit: &Fit, p: DVec2, gray: f64) -> (f64, [f64; s
         blur(grad_u.x * grad_u.y, grad_v.x * grad_v.y),
         blur(0.5 * grad_u.y * grad_u.y, 0.5 * grad_v.y * grad_v.y),
     ];
-    (miss, derivatives, (1.0 + (miss / fit.reach).powi(2)).powi(-2))
+    let root = 1.0 / (1.0 + (miss / fit.reach) * (miss / fit.reach));
+    (miss, derivatives, root * root)
 }
 
 /// The equations of the samples.
