@@ -126,8 +126,8 @@ fn covers(known: &[DVec2; 2], blob: &Blob, limits: Limits) -> bool {
     let mut apart = 0.0f64;
     let [low, high] = known;
     for axis in 0..=1 {
-        let low_blob = (f64::from(blob.low[axis]) - 0.5) * step;
-        let high_blob = (f64::from(blob.high[axis]) + 0.5) * step;
+        let low_blob = limits.origin[axis] + (f64::from(blob.low[axis]) - 0.5) * step;
+        let high_blob = limits.origin[axis] + (f64::from(blob.high[axis]) + 0.5) * step;
         apart = apart.max((low[axis] - low_blob).abs()).max((high[axis] - high_blob).abs());
     }
     apart < 3.0
