@@ -3,7 +3,7 @@
 //! h(x) = Σ f(ξ)·c·s / Σ c·s, c = exp(-|ξ-x|² / 2σ_d²), s = exp(-|f(ξ)-f(x)|² / 2σ_r²), distance of colors Euclidean
 //! over R, G, B.
 //!
-//! 1. Colors are scaled as chroma is for the photometric filter, so that c·s is one [`fall`] of |Δf|² plus a number
+//! 1. Colors are scaled as chroma is for the photometric filter, so that c·s is one `fall` of |Δf|² plus a number
 //!    that depends on |Δx| alone.
 //! 2. c·s is symmetric: 40 weights a pixel (four in its row, nine in each of the next four) serve all 80 neighbors.
 //!    Weight rows live in a ring of five rows; a band recomputes part of the four rows above it.

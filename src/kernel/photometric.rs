@@ -6,7 +6,7 @@
 //! 1. Planes hold Y and *scaled* chroma: U·g, V·g with g = √(c/2)/σ, so that s = e^-((du² + dv²)/c).
 //! 2. s is symmetric: twelve weights a pixel (two in its row, five in each of the next two) serve all 24
 //!    neighbors. Weight rows live in a ring of three rows; a band recomputes the two rows above it.
-//! 3. e^-(t/c) is a cubic's 32nd power (see [`fall`]); c makes the cubic's first coefficient -1.
+//! 3. e^-(t/c) is a cubic's 32nd power (see `fall`); c makes the cubic's first coefficient -1.
 //! 4. Work goes in strips of `STRIP` columns on copied rows of constant length, so that all offsets are known to
 //!    the compiler and the working set (29 KB) stays in the first cache.
 //!
@@ -27,9 +27,9 @@ const START: usize = 2;
 const LENGTH: usize = START + STRIP + 2;
 /// Columns at once: two vectors of four or one of eight.
 const LANES: usize = 8;
-/// c of [`fall`]: the exponent's scale.
+/// c of `fall`: the exponent's scale.
 pub(crate) const SCALE: f64 = 0.016_877_87;
-/// The other coefficients of [`fall`]'s cubic, fitted for the least greatest error.
+/// The other coefficients of `fall`'s cubic, fitted for the least greatest error.
 const CUBIC: [f32; 2] = [1.712_289_3, -1.851_523_8];
 
 /// Rows that belong to one picture row, one behind the other so that one address reaches them all: Y, U, V,
@@ -279,7 +279,7 @@ impl<S: Simd> Sums<S> {
     }
 }
 
-/// [`fall`] of du² + dv² between two places' (u, v).
+/// `fall` of du² + dv² between two places' (u, v).
 #[inline(always)]
 fn weight<S: Simd, F: SimdFloat<S, Element = f32>>(simd: S, center: [F; 2], at: [F; 2]) -> F {
     let du = at[0] - center[0];
