@@ -5,7 +5,7 @@ use crate::pixels::Rgb;
 use glam::{DVec3, Vec2, Vec3};
 use std::sync::Arc;
 
-/// An indexed triangle mesh. All vertex arrays have the same length, or `texcoords` is empty.
+/// An indexed triangle mesh. All vertex arrays have the same length, or `texcoords` and `colors` are empty.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Mesh {
     /// Vertex positions in mesh units.
@@ -14,6 +14,8 @@ pub struct Mesh {
     pub normals: Vec<Vec3>,
     /// Texture coordinates, v up (OBJ convention); empty when no face has any.
     pub texcoords: Vec<Vec2>,
+    /// Vertex colors, sRGB values 0..1, multiplied with the material's; empty when there are none.
+    pub colors: Vec<Vec3>,
     /// Three vertex indices a triangle, counter-clockwise as seen from outside.
     pub triangles: Vec<[u32; 3]>,
     /// Material index of each triangle; empty when `materials` is empty. An index past the end means no
@@ -34,17 +36,33 @@ pub struct Material {
     pub color: Vec3,
     /// Texture (map_Kd), multiplied with the color.
     pub texture: Option<Arc<Rgb>>,
+    /// How the texture goes on past its edges, along u and v.
+    pub wrap: [Wrap; 2],
+    /// Whether light has no part in it: color and texture are shown as they are.
+    pub unlit: bool,
+}
+
+/// How a texture goes on past its edges.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Wrap {
+    /// Again from the other edge (the default of MTL and glTF).
+    #[default]
+    Repeat,
+    /// Back and forth.
+    Mirror,
+    /// The edge's color (MTL `-clamp on`).
+    Clamp,
 }
 
 impl Material {
     /// A plain color, sRGB values 0..1.
     pub fn plain(color: Vec3) -> Self {
-        Self { name: String::new(), color, texture: None }
+        Self { color, ..Self::default() }
     }
 
     /// A texture as it is.
     pub fn textured(texture: Arc<Rgb>) -> Self {
-        Self { name: String::new(), color: Vec3::ONE, texture: Some(texture) }
+        Self { color: Vec3::ONE, texture: Some(texture), ..Self::default() }
     }
 }
 
@@ -59,7 +77,7 @@ impl Mesh {
             triangles: vec![[0, 1, 2], [0, 2, 3]],
             material_of: vec![0; 2],
             materials: vec![material],
-            kept_edges: KeptEdges::default(),
+            ..Mesh::default()
         }
     }
 

@@ -12,7 +12,7 @@ mod obj;
 pub use builtin::{BUILTIN, builtin};
 pub use config::{AnchorConfig, LightConfig, ModelConfig, SceneError};
 pub use edges::{Edge, Edges, KeptEdges};
-pub use mesh::{Material, Mesh};
+pub use mesh::{Material, Mesh, Wrap};
 pub use obj::{Limits, ModelError};
 
 use crate::marker::{Family, Patterns};

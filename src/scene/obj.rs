@@ -383,7 +383,7 @@ fn parse_mtl(bytes: &[u8], path: &Path, limits: &Limits, materials: &mut Vec<Mat
         let inside = materials.len() > first;
         match keyword {
             "newmtl" if materials.len() < limits.materials => {
-                materials.push(Material { name: rest.to_owned(), color: Vec3::ONE, texture: None });
+                materials.push(Material { name: rest.to_owned(), color: Vec3::ONE, ..Material::default() });
             }
             "Kd" if inside => {
                 let [r, g, b] = numbers(rest);
