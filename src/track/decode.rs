@@ -82,30 +82,74 @@ struct Evidence {
     likeness: f64,
     /// Most that one cell may be off, of the variance: by a shadow's edge 0.7, a cell that is half black 1.
     worst: f64,
+    /// Least width of a cell, px.
+    cell_px: f64,
 }
 
 /// For codes that no texture shows by chance: read on bent paper and half in the shadow, too.
 const SURE: Evidence =
-    Evidence { dark: 0.875, light: 0.75, clarity: 0.35, likeness: 0.0, worst: f64::INFINITY };
-/// For codes that random bits hit once in a hundred thousand to once in a thousand.
+    Evidence { dark: 0.875, light: 0.75, clarity: 0.35, likeness: 0.0, worst: f64::INFINITY, cell_px: 0.0 };
+/// For codes that random bits hit once in a hundred thousand to once in a thousand; with wrong bits, in ten thousand.
 const RARE: Evidence = Evidence { likeness: 0.85, ..SURE };
 /// For codes that they hit more often (4x4, 16h5), and the original ArUco codes, whose rows of strokes are what
 /// letters and signs look like.
-const OFTEN: Evidence = Evidence { dark: 1.0, light: 0.875, clarity: 0.4, likeness: 0.85, worst: 0.6 };
+const OFTEN: Evidence =
+    Evidence { dark: 1.0, light: 0.875, clarity: 0.4, likeness: 0.85, worst: 0.6, cell_px: 0.0 };
 /// For codes that they hit more than once in twenty (4x4_1000, ARToolKit's 3x3): the print must be seen well.
-const MOSTLY: Evidence = Evidence { dark: 1.0, light: 1.0, clarity: 0.65, likeness: 0.92, worst: 0.5 };
+const MOSTLY: Evidence =
+    Evidence { dark: 1.0, light: 1.0, clarity: 0.65, likeness: 0.92, worst: 0.5, cell_px: SMALL_PX };
+/// For these in small prints, where blur makes cells of anything.
+const SMALL: Evidence = Evidence { likeness: 0.95, cell_px: 2.0, ..MOSTLY };
+/// For bits that are a plain shape, as things nested in each other are.
+const SHAPE: Evidence = Evidence { likeness: 0.95, ..MOSTLY };
+
+/// Cells of less than this are small, px.
+const SMALL_PX: f64 = 3.5;
 
 impl Evidence {
-    /// For a reading of so many wrong bits.
-    fn of(family: Family, wrong: u32) -> &'static Self {
+    /// For a reading of so many wrong bits in cells of `cell_px`; `bits`: what was read, if anything was yet.
+    fn of(family: Family, wrong: u32, bits: Option<u64>, cell_px: f64) -> &'static Self {
         match family.chance(wrong) {
+            _ if bits.is_some_and(|bits| is_shape(bits, family.inner())) => &SHAPE,
             _ if family == Family::ArucoOriginal => &OFTEN,
             chance if chance < 1e-5 => &SURE,
-            chance if chance < 1e-3 => &RARE,
+            chance if chance < 1e-4 || (chance < 1e-3 && wrong == 0) => &RARE,
             chance if chance < 5e-2 => &OFTEN,
+            _ if cell_px < SMALL_PX => &SMALL,
             _ => &MOSTLY,
         }
     }
+
+    /// Whether the rings, the bits and their size are enough; the fit of the print is asked apart, it costs most.
+    fn is_shown(&self, ring: &Ring, clarity: f64, cell_px: f64) -> bool {
+        ring.dark >= self.dark
+            && ring.light >= self.light
+            && clarity >= self.clarity
+            && cell_px >= self.cell_px
+    }
+}
+
+/// Whether `inner` x `inner` bits within their black border are a plain shape: few of their cells' sides lie between
+/// black and white (a square of half the width has 2·inner of them, a code mostly inner² and more). 3x3 bits are
+/// all plain.
+fn is_shape(bits: u64, inner: usize) -> bool {
+    inner > 3 && outline(bits, inner) as usize <= 2 * inner + 2
+}
+
+/// Sides of cells between black and white in `inner` x `inner` bits within their black border.
+fn outline(bits: u64, inner: usize) -> u32 {
+    let white = |row: usize, column: usize| {
+        (row < inner && column < inner) && (bits >> (inner * inner - 1 - (row * inner + column))) & 1 == 1
+    };
+    let mut sides = 0;
+    for row in 0..=inner {
+        for column in 0..=inner {
+            let here = white(row, column);
+            sides += u32::from(here != white(row.wrapping_sub(1), column));
+            sides += u32::from(here != white(row, column.wrapping_sub(1)));
+        }
+    }
+    sides
 }
 
 /// Larger quads are not tried again a little grown or shrunk.
@@ -193,11 +237,11 @@ fn attempt(view: &View<'_>, quad: &Quad, family: Family, polarity: Polarity) -> 
     let map = Homography::from_square(*quad)?;
     let cells = code_cells(family);
     let ring = Ring::read(view, &map, cells, polarity)?;
-    let least = Evidence::of(family, 0);
-    if ring.dark < least.dark || ring.light < least.light {
+    let cell_px = super::quad::area(quad).max(0.0).sqrt() / cells as f64;
+    let least = Evidence::of(family, 0, None, cell_px);
+    if !least.is_shown(&ring, f64::INFINITY, cell_px) {
         return None;
     }
-    let cell_px = super::quad::area(quad).max(0.0).sqrt() / cells as f64;
     let code = Code { view, map: &map, family, ring: &ring, polarity, cell_px };
     let soft = code.soft();
     let mut before = None;
@@ -212,9 +256,9 @@ fn attempt(view: &View<'_>, quad: &Quad, family: Family, polarity: Polarity) -> 
             return None;
         }
         if let Some(reading) = family.read(bits) {
-            let least = Evidence::of(family, reading.hamming);
+            let least = Evidence::of(family, reading.hamming, Some(bits), cell_px);
             let proven = |fit: Fit| fit.likeness >= least.likeness && fit.worst <= least.worst;
-            if least.likeness == 0.0 || proven(code.fit(bits)) {
+            if least.is_shown(&ring, clarity, cell_px) && (least.likeness == 0.0 || proven(code.fit(bits))) {
                 return Some(Some(found(family, reading, quad, &ring, clarity, polarity)));
             }
         }
