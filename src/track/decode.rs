@@ -463,6 +463,15 @@ mod tests {
 
     /// White-on-black prints read with their polarity and not with the other.
     #[test]
+    fn squares_and_bars_are_shapes_and_codes_are_not() {
+        assert!(is_shape(0x0660, 4), "a square in a square");
+        assert!(is_shape(0xff00, 4), "half of one");
+        assert!(!is_shape(0xa5a5, 4));
+        let codes = Family::Tag36h11.codes();
+        assert!(!codes.is_empty() && codes.iter().all(|&code| !is_shape(code, 6)));
+    }
+
+    #[test]
     fn inverted_prints_are_read_inverted() {
         for family in Family::ALL {
             let id = family.codes().len() as u32 / 2;

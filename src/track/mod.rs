@@ -15,6 +15,7 @@ mod contour;
 mod decode;
 mod filter;
 mod follow;
+mod known;
 mod quad;
 mod rectify;
 mod ring;
@@ -26,7 +27,7 @@ mod threshold;
 use crate::frame::{Sighting, Solved, State};
 use crate::geometry::Lens;
 use crate::marker::{Family, Patterns, Polarity};
-use crate::pixels::{Plane, PlaneRef, simd::Level};
+use crate::pixels::{Plane, PlaneRef, Size, simd::Level};
 use decode::{Decoded, View};
 use follow::Follow;
 use glam::DVec2;
@@ -42,6 +43,9 @@ pub const MOST_SIDE_PX: usize = 16_000;
 
 /// Smaller markers found in the halved picture are looked for in the whole one too: half a pixel matters there.
 const LEAST_KNOWN_PX: f64 = 48.0;
+
+/// Parts of a picture narrower than this hold no marker, px.
+const LEAST_PART_PX: usize = 16;
 
 /// Squared deviations (two degrees of freedom) by which four corners may miss those of a rigid square by chance and
 /// by a little bend or blur that is not modeled; lenses that are not known miss by more.
@@ -205,69 +209,92 @@ impl Tracker {
         true
     }
 
-    fn limits(&self) -> Limits {
-        Limits {
-            least_side_px: self.config.least_side_px.max(8),
-            least_contrast: self.config.least_contrast.clamp(1, 60),
-            most: self.config.most_candidates,
-            step: 1,
-            origin: DVec2::ZERO,
-        }
-    }
-
-    /// Reads every marker in the picture.
+    /// Reads every marker in the picture: the smaller pictures first, because they are little work, show what noise
+    /// hides in the whole one, and spare that one the large markers.
     fn search(&mut self, luma: PlaneRef<'_, u8>, lens: &Lens, wanted: &[Wanted]) {
-        let limits = self.limits();
         let steps: &[u32] = match self.config.quality {
             Quality::Quick => &[2],
             Quality::Normal => &[2, 1],
             Quality::Full => &[4, 2, 1],
         };
-        let view = View::new(luma, lens);
-        let patterns = &self.patterns;
-        search::halve(luma, &mut self.halved, self.level);
-        if steps.contains(&4) {
-            search::halve(self.halved.view(), &mut self.quartered, self.level);
-        }
         self.decoded.clear();
         self.known.clear();
-        // the smaller pictures first: they are little work, show what noise hides in the whole one, and spare that
-        // one the large markers
+        let size = luma.size();
+        let everything = [DVec2::ZERO, DVec2::new(size.width as f64, size.height as f64)];
         for &step in steps {
-            let limits = Limits { step, ..limits };
-            let (search, picture) = match step {
-                1 => (&mut self.whole, luma),
-                2 => (&mut self.half, self.halved.view()),
-                _ => (&mut self.quarter, self.quartered.view()),
-            };
-            self.candidates.clear();
-            self.candidates.reserve(2 * limits.most);
-            let quads = search.quads(picture, &self.rectify, limits, &self.known, self.level);
-            let polarity = Polarity::BlackOnWhite;
-            self.candidates.extend(quads.iter().map(|&quad| Candidate { quad, polarity, found: None }));
-            if self.config.inverted {
-                search::invert(picture, &mut self.inverse);
-                let quads = search.quads(self.inverse.view(), &self.rectify, limits, &self.known, self.level);
-                let polarity = Polarity::WhiteOnBlack;
-                self.candidates.extend(quads.iter().map(|&quad| Candidate { quad, polarity, found: None }));
-            }
-            self.candidates.par_iter_mut().with_min_len(4).for_each(|candidate| {
-                let Candidate { quad, polarity, .. } = *candidate;
-                candidate.found = read(&view, &quad, polarity, step, wanted, patterns);
-            });
-            self.decoded.extend(self.candidates.iter().filter_map(|c| c.found));
-            // what was read, and what was seen to be no marker
-            let weak = wanted.iter().any(|w| is_weak(w.family));
-            self.known.extend(
-                self.candidates
-                    .iter()
-                    .filter(|candidate| candidate.found.is_some() || !weak)
-                    .map(|candidate| bounds(&candidate.quad.map(|p| rectify::seen(lens, p))))
-                    .filter(|[low, high]| {
-                        (*high - *low).max_element() >= LEAST_KNOWN_PX * f64::from(step / 2)
-                    }),
-            );
+            self.search_part(luma, lens, wanted, everything, step, self.config.most_candidates);
         }
+    }
+
+    /// Reads what can be read in a box of the picture (least and greatest corner, px), looked at whole (`step` 1),
+    /// halved (2) or quartered (4), following `most` outlines at most. Boxes in `known` are passed over; those of
+    /// what is read, and of what is seen to be no marker, join them.
+    fn search_part(
+        &mut self,
+        luma: PlaneRef<'_, u8>,
+        lens: &Lens,
+        wanted: &[Wanted],
+        [low, high]: [DVec2; 2],
+        step: u32,
+        most: usize,
+    ) {
+        let Size { width, height } = luma.size();
+        // whole pairs of pixels, so that halved ones lie where those of the halved picture would
+        let (left, top) = (low.x.max(0.0) as usize & !1, low.y.max(0.0) as usize & !1);
+        let right = (high.x.max(0.0) as usize + 1).min(width);
+        let bottom = (high.y.max(0.0) as usize + 1).min(height);
+        if right < left + LEAST_PART_PX || bottom < top + LEAST_PART_PX {
+            return;
+        }
+        let Some(part) = luma.part(left, top, Size::new(right - left, bottom - top)) else { return };
+        let limits = Limits {
+            least_side_px: self.config.least_side_px.max(8),
+            least_contrast: self.config.least_contrast.clamp(1, 60),
+            most,
+            step,
+            origin: DVec2::new(left as f64, top as f64),
+        };
+        let level = self.level;
+        let (search, picture) = match step {
+            1 => (&mut self.whole, part),
+            2 => {
+                search::halve(part, &mut self.halved, level);
+                (&mut self.half, self.halved.view())
+            }
+            _ => {
+                search::halve(part, &mut self.halved, level);
+                search::halve(self.halved.view(), &mut self.quartered, level);
+                (&mut self.quarter, self.quartered.view())
+            }
+        };
+        self.candidates.clear();
+        self.candidates.reserve(2 * most);
+        for polarity in [Polarity::BlackOnWhite, Polarity::WhiteOnBlack] {
+            let shown = match polarity {
+                Polarity::BlackOnWhite => picture,
+                Polarity::WhiteOnBlack if self.config.inverted => {
+                    search::invert(picture, &mut self.inverse);
+                    self.inverse.view()
+                }
+                Polarity::WhiteOnBlack => continue,
+            };
+            let quads = search.quads(shown, &self.rectify, limits, &self.known, level);
+            self.candidates.extend(quads.iter().map(|&quad| Candidate { quad, polarity, found: None }));
+        }
+        let (view, patterns) = (View::new(luma, lens), &self.patterns);
+        self.candidates.par_iter_mut().with_min_len(4).for_each(|candidate| {
+            let Candidate { quad, polarity, .. } = *candidate;
+            candidate.found = read(&view, &quad, polarity, step, wanted, patterns);
+        });
+        self.decoded.extend(self.candidates.iter().filter_map(|c| c.found));
+        let weak = wanted.iter().any(|w| is_weak(w.family));
+        self.known.extend(
+            self.candidates
+                .iter()
+                .filter(|candidate| candidate.found.is_some() || !weak)
+                .map(|candidate| bounds(&candidate.quad.map(|p| rectify::seen(lens, p))))
+                .filter(|[low, high]| (*high - *low).max_element() >= LEAST_KNOWN_PX * f64::from(step / 2)),
+        );
     }
 }
 
