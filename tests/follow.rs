@@ -2,8 +2,9 @@
 //! rest or lags in motion, and the result does not depend on threads nor on the SIMD level.
 
 use std::time::Duration;
+use vernissage::app::bench::following::{Followed, follow};
 use vernissage::app::bench::markers::SIDE_MM;
-use vernissage::app::bench::motion::{Film, Followed, RATE, follow};
+use vernissage::app::bench::motion::{Film, RATE};
 use vernissage::frame::{Sighting, State};
 use vernissage::pixels::simd::{self, Level};
 use vernissage::pixels::{Plane, Size};

@@ -1,6 +1,7 @@
 //! `vernissage bench`: time and error of every stage, side by side, with the machine's facts.
 
 mod coherence;
+pub mod following;
 pub mod markers;
 pub mod motion;
 mod plot;

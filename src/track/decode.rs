@@ -89,7 +89,8 @@ struct Evidence {
 /// For codes that no texture shows by chance: read on bent paper and half in the shadow, too.
 const SURE: Evidence =
     Evidence { dark: 0.875, light: 0.75, clarity: 0.35, likeness: 0.0, worst: f64::INFINITY, cell_px: 0.0 };
-/// For codes that random bits hit once in a hundred thousand to once in a thousand; with wrong bits, in ten thousand.
+/// For codes that random bits hit once in a hundred thousand to once in a thousand; with wrong bits, in three
+/// thousand.
 const RARE: Evidence = Evidence { likeness: 0.85, ..SURE };
 /// For codes that they hit more often (4x4, 16h5), and the original ArUco codes, whose rows of strokes are what
 /// letters and signs look like.
@@ -113,7 +114,7 @@ impl Evidence {
             _ if bits.is_some_and(|bits| is_shape(bits, family.inner())) => &SHAPE,
             _ if family == Family::ArucoOriginal => &OFTEN,
             chance if chance < 1e-5 => &SURE,
-            chance if chance < 1e-4 || (chance < 1e-3 && wrong == 0) => &RARE,
+            chance if chance < 3e-4 || (chance < 1e-3 && wrong == 0) => &RARE,
             chance if chance < 5e-2 => &OFTEN,
             _ if cell_px < SMALL_PX => &SMALL,
             _ => &MOSTLY,

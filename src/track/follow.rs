@@ -5,6 +5,7 @@
 //! held where it would be, then dropped (`known`: one such marker). New markers are searched for a slice a frame; while none is known, every
 //! picture is searched in full.
 
+use super::align::Pattern;
 use super::decode::{Decoded, View};
 use super::known::{Scene, Track};
 use super::quad::Quad;
@@ -27,8 +28,8 @@ const LEAST_GAP: f64 = 0.1;
 /// Frames in which the strips of the picture come around, and the frames from one to the next; in between the halved
 /// picture is searched, one frame in so many. Only markers too small for the halved picture need the strips, and
 /// have room in their overlap.
-const CYCLE: usize = 96;
-const STRIP_EVERY: usize = 4;
+const CYCLE: usize = 144;
+const STRIP_EVERY: usize = 6;
 const HALF_EVERY: usize = 6;
 const OVERLAP_PX: f64 = 34.0;
 /// Most blobs that are looked at in a slice.
@@ -162,7 +163,8 @@ impl Follow {
                 held = Some((i, apart));
             }
         }
-        let Some(aligned) = scene.align(key.0, key.1, found.quad, [found.black, found.white], None) else {
+        let Some(pattern) = Pattern::new(key.0, key.1) else { return };
+        let Some(aligned) = scene.align(&pattern, found.quad, [found.black, found.white], None) else {
             return;
         };
         match held {
@@ -171,9 +173,7 @@ impl Follow {
             }
             None if self.tracks.len() < MOST => {
                 let side_mm = wish(wanted, key.0, key.1).map_or(f64::NAN, |w| w.side_mm);
-                if let Some(track) = Track::new(scene, found, side_mm, &aligned) {
-                    self.tracks.push(track);
-                }
+                self.tracks.push(Track::new(scene, found, pattern, side_mm, &aligned));
             }
             None => {}
         }

@@ -81,27 +81,32 @@ pub struct Scene<'a> {
 impl Scene<'_> {
     pub fn align(
         &self,
-        family: Family,
-        id: u32,
+        pattern: &Pattern,
         quad: Quad,
         inks: [Level; 2],
         blur: Option<([f64; 3], f64)>,
     ) -> Option<Aligned> {
         let most = if blur.is_some() { SAMPLES } else { align::MOST_SAMPLES };
         let doubt_px = blur.map_or(0.0, |(_, doubt)| doubt);
-        let start = Start { family, id, quad, inks, blur: blur.map(|(blur, _)| blur), doubt_px, most };
+        let start = Start { pattern, quad, inks, blur: blur.map(|(blur, _)| blur), doubt_px, most };
         align::align(&self.view, &start, self.rectify, self.level)
     }
 }
 
 impl Track {
-    pub fn new(scene: &Scene<'_>, found: &Decoded, side_mm: f64, aligned: &Aligned) -> Option<Self> {
+    pub fn new(
+        scene: &Scene<'_>,
+        found: &Decoded,
+        pattern: Pattern,
+        side_mm: f64,
+        aligned: &Aligned,
+    ) -> Self {
         let id = found.reading.id;
         let mut track = Self {
             family: found.family,
             id,
             side_mm,
-            pattern: Pattern::new(found.family, id)?,
+            pattern,
             seen: [(scene.at, aligned.quad); 3],
             depth: 0,
             inks: aligned.inks,
@@ -119,7 +124,7 @@ impl Track {
         };
         track.observe(scene, aligned, true);
         track.hamming = found.reading.hamming;
-        Some(track)
+        track
     }
 
     /// Follows it into the next picture.
@@ -138,7 +143,7 @@ impl Track {
                 start = (quad.map(|p| p + shift), MOST_DOUBT_PX);
             }
             let blur = Some((self.blur, start.1));
-            let aligned = scene.align(self.family, self.id, start.0, self.inks, blur);
+            let aligned = scene.align(&self.pattern, start.0, self.inks, blur);
             if let Some(aligned) = aligned
                 && self.is_it(scene, &aligned)
                 && self.observe(scene, &aligned, false)

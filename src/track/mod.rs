@@ -350,16 +350,17 @@ pub fn wish(wanted: &[Wanted], family: Family, id: u32) -> Option<&Wanted> {
 
 /// Sharpens the corners and solves the poses.
 fn sight(view: &View<'_>, found: &Decoded, wanted: &[Wanted], align: Option<(&Rectify, Level)>) -> Sighting {
-    let start = align::Start {
-        family: found.family,
-        id: found.reading.id,
-        quad: found.quad,
-        inks: [found.black, found.white],
-        blur: None,
-        doubt_px: 0.0,
-        most: align::MOST_SAMPLES,
-    };
-    let aligned = align.and_then(|(rectify, level)| align::align(view, &start, rectify, level));
+    let aligned = align.and_then(|(rectify, level)| {
+        let start = align::Start {
+            pattern: &align::Pattern::new(found.family, found.reading.id)?,
+            quad: found.quad,
+            inks: [found.black, found.white],
+            blur: None,
+            doubt_px: 0.0,
+            most: align::MOST_SAMPLES,
+        };
+        align::align(view, &start, rectify, level)
+    });
     let mut quad = aligned.map_or(found.quad, |aligned| aligned.quad);
     let wanted = wish(wanted, found.family, found.reading.id);
     let side_mm = wanted.map(|w| w.side_mm).filter(|side| side.is_finite() && *side > 0.0);

@@ -8,6 +8,7 @@
 use super::contour::Crack;
 use super::rectify::Rectify;
 use glam::DVec2;
+use std::cell::RefCell;
 
 /// A convex quadrilateral in ideal pixels, corners clockwise as seen.
 pub type Quad = [DVec2; 4];
@@ -21,6 +22,22 @@ pub const LEAST_SIDE_PX: f64 = 5.0;
 /// The quadrilateral whose outline the contour is; `None` when it is none. `area`: enclosed px²; `step`: pixels
 /// of the whole picture along one of the contour's; `origin`: where the contour's picture begins in it.
 pub fn fit(contour: &[Crack], area: i64, step: u32, origin: DVec2, rectify: &Rectify) -> Option<Quad> {
+    POINTS.with_borrow_mut(|points| fit_with(points, contour, area, step, origin, rectify))
+}
+
+thread_local! {
+    /// Each thread's own: laying them out anew would cost more than most fits do.
+    static POINTS: RefCell<[DVec2; MOST_POINTS]> = const { RefCell::new([DVec2::ZERO; MOST_POINTS]) };
+}
+
+fn fit_with(
+    points: &mut [DVec2; MOST_POINTS],
+    contour: &[Crack],
+    area: i64,
+    step: u32,
+    origin: DVec2,
+    rectify: &Rectify,
+) -> Option<Quad> {
     let step = f64::from(step);
     let shift = origin + 0.5 * (step - 1.0);
     let area = area as f64 * step * step;
@@ -29,7 +46,6 @@ pub fn fit(contour: &[Crack], area: i64, step: u32, origin: DVec2, rectify: &Rec
     }
     // lines do not get better from more points than this, and what is accepted is aligned to the pixels later
     let every = contour.len().div_ceil(MOST_POINTS);
-    let mut points = [DVec2::ZERO; MOST_POINTS];
     let mut count = 0;
     for (point, &[x, y]) in points.iter_mut().zip(contour.iter().step_by(every)) {
         *point = rectify.ideal(DVec2::new(f64::from(x), f64::from(y)) * (0.5 * step) + shift);

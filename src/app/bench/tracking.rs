@@ -1,16 +1,18 @@
 //! `vernissage bench --tracking`: the tracker on synthetic frames with exact truth, at each quality.
 //!
-//! The frames are made beforehand, on all threads. Every part gives one `Table`; what is measured of films
-//! rather than of single pictures is one more part.
+//! The frames are made beforehand, on all threads. Every part gives one `Table`; the last is of films rather
+//! than of single pictures.
 
+use super::following::{Followed, follow};
 use super::markers::{Difficulty, Setup, Shot, shots};
+use super::motion::{self, Film};
 use super::table::{Cell, Column, Table};
 use super::tally::{Class, Still, Tally, every, ghosts, quantile};
 use super::{Args, plot};
 use crate::app::report::machine;
 use crate::app::{pool, progress, say};
 use crate::marker::Family;
-use crate::pixels::{Size, simd};
+use crate::pixels::{Plane, Size, simd};
 use crate::track::{Config, Quality, Tracker};
 use rayon::ThreadPool;
 use std::time::{Duration, Instant};
@@ -71,7 +73,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<()> {
     } else {
         say(format_args!("{}, {}, {frames} frames", machine(), family.name()))?;
     }
-    let parts = [Bench::accuracy, Bench::stillness, Bench::negatives, Bench::speed];
+    let parts = [Bench::accuracy, Bench::stillness, Bench::negatives, Bench::speed, Bench::following];
     let bar = progress::bar(Some(parts.len() as u64), "parts");
     for part in parts {
         let table = part(&mut bench)?;
@@ -278,6 +280,64 @@ impl Bench<'_> {
             self.args.repeat
         );
         Ok(Table { part: "speed", about, columns: COLUMNS, rows })
+    }
+
+    /// What following films comes to.
+    fn following(&mut self) -> anyhow::Result<Table> {
+        let mut rows = Vec::new();
+        let (config, level, repeat) = (Config::default(), simd::best(), self.args.repeat as usize);
+        for (kind, films) in motion::kinds() {
+            let films = films.into_iter().map(|film| Film { family: self.args.family, ..film });
+            let shot: Vec<_> =
+                self.crew.install(|| films.map(|film| (film.shoot(), film)).collect::<Vec<_>>());
+            for &threads in &self.args.threads {
+                let of = |(pictures, film): &(Vec<Plane<u8>>, Film)| {
+                    follow(film, pictures, &config, level, repeat)
+                };
+                let each: Vec<Followed> = pool(threads)?.install(|| shot.iter().map(of).collect());
+                let Some(all) = each.into_iter().reduce(|a, b| a.and(&b)) else { continue };
+                // what moves does not rest
+                let rests = |v: f64| if kind == "still" { v } else { f64::NAN };
+                rows.push(vec![
+                    kind.into(),
+                    threads.into(),
+                    all.readable.into(),
+                    (100.0 * all.tracked as f64 / all.readable as f64).into(),
+                    all.wrong.into(),
+                    all.flipped.into(),
+                    all.delay.into(),
+                    all.lag[0].into(),
+                    all.lag[1].into(),
+                    rests(all.jitter[0]).into(),
+                    rests(100.0 * all.jitter[1]).into(),
+                    all.error[0].into(),
+                    all.error[1].into(),
+                    all.ms[0].into(),
+                    all.ms[1].into(),
+                ]);
+            }
+        }
+        const COLUMNS: &[Column] = &[
+            Column("film", "film", 0),
+            Column("threads", "threads", 0),
+            Column("readable", "readable", 0),
+            Column("tracked %", "tracked_percent", 1),
+            Column("wrong", "wrong", 0),
+            Column("flips", "flips", 0),
+            Column("frames until seen", "delay_frames", 0),
+            Column("lag of rotation, frames", "lag_rotation_frames", 3),
+            Column("of translation", "lag_translation_frames", 3),
+            Column("jitter °", "jitter_deg", 4),
+            Column("of distance %", "jitter_distance_percent", 4),
+            Column("corner px: RMS", "corner_px_rms", 3),
+            Column("rotation ° RMS", "rotation_deg_rms", 3),
+            Column("ms a followed picture", "followed_ms", 3),
+            Column("a searched one", "searched_ms", 3),
+        ];
+        let about =
+            "films of 5 s at 30 fps, one print or four, the worse of two films; ms: means of least times"
+                .into();
+        Ok(Table { part: "following", about, columns: COLUMNS, rows })
     }
 }
 

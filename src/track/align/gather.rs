@@ -29,16 +29,15 @@ pub struct Samples {
     pub whole: bool,
 }
 
-impl Default for Samples {
-    fn default() -> Self {
-        Self {
-            x: [0.0; MOST_SAMPLES],
-            y: [0.0; MOST_SAMPLES],
-            gray: [0.0; MOST_SAMPLES],
-            count: 0,
-            whole: true,
-        }
-    }
+impl Samples {
+    /// None yet.
+    pub const NONE: Self = Self {
+        x: [0.0; MOST_SAMPLES],
+        y: [0.0; MOST_SAMPLES],
+        gray: [0.0; MOST_SAMPLES],
+        count: 0,
+        whole: false,
+    };
 }
 
 /// Fills `samples` with about `most` pixels at most: runs are left out evenly where there would be more. An edge

@@ -21,13 +21,13 @@ use super::decode::{Level, View};
 use super::quad::{self, Quad};
 use super::rectify::Rectify;
 use crate::geometry::{Homography, solve_spd};
-use crate::marker::Family;
 use crate::pixels::simd::{self, dispatch};
 use equations::Sums;
 pub use gather::MOST_SAMPLES;
 use gather::Samples;
 use glam::{DMat3, DVec2, DVec3};
 pub use pattern::Pattern;
+use std::cell::RefCell;
 
 /// Half-width of the kernel in deviations: the variance of (15/16)(1-z²)² is 1/7.
 const WIDTH_PER_SIGMA: f64 = 2.645_751_311_064_590_6;
@@ -72,11 +72,9 @@ struct Fit {
 
 /// Where to start from.
 #[derive(Clone, Copy, Debug)]
-pub struct Start {
+pub struct Start<'a> {
     /// The print.
-    pub family: Family,
-    /// Its number.
-    pub id: u32,
+    pub pattern: &'a Pattern,
     /// Its corners in ideal pixels and the family's order.
     pub quad: Quad,
     /// Gray of black ink and paper.
@@ -109,8 +107,23 @@ pub struct Aligned {
 
 /// Lays the known pattern onto the picture. `None` when the fit does not hold: too few pixels, equations that do
 /// not decide, or a place that leads away from the start.
-pub fn align(view: &View<'_>, start: &Start, rectify: &Rectify, level: simd::Level) -> Option<Aligned> {
-    let pattern = Pattern::new(start.family, start.id)?;
+pub fn align(view: &View<'_>, start: &Start<'_>, rectify: &Rectify, level: simd::Level) -> Option<Aligned> {
+    SAMPLES.with_borrow_mut(|samples| align_with(samples, view, start, rectify, level))
+}
+
+thread_local! {
+    /// Each thread's own: too many to be laid out anew for every marker.
+    static SAMPLES: RefCell<Samples> = const { RefCell::new(Samples::NONE) };
+}
+
+fn align_with(
+    samples: &mut Samples,
+    view: &View<'_>,
+    start: &Start<'_>,
+    rectify: &Rectify,
+    level: simd::Level,
+) -> Option<Aligned> {
+    let pattern = start.pattern;
     let center = (start.quad[0] + start.quad[1] + start.quad[2] + start.quad[3]) * 0.25;
     let scale = quad::area(&start.quad).sqrt().max(1.0);
     let mut map = Homography::from_square(start.quad.map(|p| (p - center) / scale))?.0;
@@ -132,7 +145,6 @@ pub fn align(view: &View<'_>, start: &Start, rectify: &Rectify, level: simd::Lev
         reach: 0.35 * contrast.abs(),
         rigid: false,
     };
-    let mut samples = Samples::default();
     let most = start.most.min(MOST_SAMPLES);
     let (mut last, mut settled) = (None, false);
     for whole in [false, true] {
@@ -147,7 +159,7 @@ pub fn align(view: &View<'_>, start: &Start, rectify: &Rectify, level: simd::Lev
         let (steps, fresh) = if start.blur.is_some() { (PATIENCE, FRESH_KNOWN) } else { (STEPS, FRESH) };
         let steps = steps[usize::from(whole)];
         let (most, grow) = if whole { (most, 1.15) } else { (THIN_SAMPLES, 1.33) };
-        dispatch!(level, simd => gather::gather(simd, view, rectify, &fit, &pattern, most, grow, &mut samples));
+        dispatch!(level, simd => gather::gather(simd, view, rectify, &fit, pattern, most, grow, samples));
         if samples.count < 4 * UNKNOWNS {
             return None;
         }
@@ -155,8 +167,7 @@ pub fn align(view: &View<'_>, start: &Start, rectify: &Rectify, level: simd::Lev
         for turn in 0..steps {
             // near the end A changes no more
             let fresh = turn < fresh[usize::from(whole)] || a.is_none();
-            let mut sums =
-                dispatch!(level, simd => equations::normal(simd, &samples, &pattern, &fit, fresh))?;
+            let mut sums = dispatch!(level, simd => equations::normal(simd, samples, pattern, &fit, fresh))?;
             match a {
                 Some(a) if !fresh => sums.a = a,
                 _ => a = Some(sums.a),
@@ -351,6 +362,7 @@ fn invert(mut a: [[f64; 8]; 8]) -> Option<[[f64; 8]; 8]> {
 mod tests {
     use super::*;
     use crate::geometry::Lens;
+    use crate::marker::Family;
     use crate::pixels::{Plane, Size};
 
     /// A picture of gray steps, a print laid on it askew, and the pixels that take part; cells of `cell_px`.
@@ -370,7 +382,7 @@ mod tests {
         let levels = [60.0, 3.0, -4.0, 90.0, 5.0, 6.0];
         let blur = [unit, 0.2 * unit, 0.7 * unit];
         let fit = Fit { map, center, scale, levels, blur, reach, rigid: false };
-        let mut samples = Samples::default();
+        let mut samples = Samples::NONE;
         let level = simd::best();
         dispatch!(level, simd => gather::gather(simd, &view, &rectify, &fit, &pattern, 4000, 1.3, &mut samples));
         assert!(samples.count > 200);
