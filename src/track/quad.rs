@@ -52,6 +52,8 @@ fn fit_with(
         count += 1;
     }
     let points = &points[..count];
+    // a strong lens shows things in its corners half as large as they are
+    let area = if rectify.bends() { enclosed(points) } else { area };
     // indices run at most once around; a division here would cost more than everything else
     let at = |i: usize| points[if i < count { i } else { i - count }];
     let farthest_from = |p: DVec2| farthest(0..count, |i| (at(i) - p).length_squared());
@@ -139,7 +141,13 @@ pub fn area(quad: &Quad) -> f64 {
     0.5 * (quad[2] - quad[0]).perp_dot(quad[3] - quad[1])
 }
 
-/// Distortion changes areas a little; dents and flags change them much.
+/// Area within an outline, px² (positive when clockwise as seen).
+fn enclosed(points: &[DVec2]) -> f64 {
+    let Some(&origin) = points.first() else { return 0.0 };
+    points.windows(2).map(|pair| (pair[0] - origin).perp_dot(pair[1] - origin)).sum::<f64>() * 0.5
+}
+
+/// Dents and flags change areas much.
 fn fits_area(quad: &Quad, contour: f64) -> bool {
     let ratio = area(quad) / contour;
     (0.75..=1.35).contains(&ratio)

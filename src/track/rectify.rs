@@ -43,6 +43,11 @@ impl Rectify {
         }
     }
 
+    /// Whether seen and ideal places differ.
+    pub fn bends(&self) -> bool {
+        !self.table.is_empty()
+    }
+
     /// The ideal place of a seen point inside the picture; NaN where the lens shows nothing there.
     #[inline]
     pub fn ideal(&self, seen: DVec2) -> DVec2 {
