@@ -1,4 +1,4 @@
-//! The tracker held to the figures of `vernissage bench --tracking`, on a small sample of the same frames.
+//! The tracker held to the figures of `vernissage bench --tracking`, on the same frames.
 
 use vernissage::app::bench::markers::{Difficulty, Setup, Shot, shots};
 use vernissage::app::bench::tally::{Class, Still, Tally, ghosts, quantile};
@@ -35,23 +35,24 @@ fn say(name: &str, class: &Class) {
 
 #[test]
 fn markers_are_found_and_sharp() {
-    // A sample that guards against losses: its recall is that of 400 frames, its corners are a little sharper. The
-    // figures to quote are those of `bench --tracking --frames 400`.
-    let taken = shots(80..160, 1, |rng, _| Setup::accuracy(rng, SIZE, FAMILY));
+    // the frames of `bench --tracking --frames 400`: fewer tell little, recall in forties of them is .66 to .82
+    let taken = shots(0..400, 1, |rng, _| Setup::accuracy(rng, SIZE, FAMILY));
     let tally = accuracy(Config::default(), &taken);
     let (all, easy) = (tally.all(), tally.class(Difficulty::Easy));
     say("all", &all);
     Difficulty::ALL.iter().for_each(|&d| say(d.name(), tally.class(d)));
-    assert!(easy.drawn >= 8 && all.drawn >= 100, "a sample of {} and {}", easy.drawn, all.drawn);
     assert_eq!(tally.ghosts, 0);
     assert!(all.recall() >= 0.72, "{}", all.recall());
-    assert!(easy.recall() >= 0.95, "{}", easy.recall());
+    for (difficulty, least) in Difficulty::ALL.into_iter().zip([0.98, 0.89, 0.38]) {
+        let class = tally.class(difficulty);
+        assert!(class.drawn > 100 && class.recall() >= least, "{}: {}", difficulty.name(), class.recall());
+    }
     assert!(quantile(&all.corner_px, 0.5) <= 0.04);
     assert!(quantile(&easy.corner_px, 0.5) <= 0.012);
     assert!(quantile(&all.corner_px, 0.99) <= 0.6);
     assert!(quantile(&all.rotation_deg, 0.5) <= 0.2);
     assert!(quantile(&all.distance_percent, 0.5) <= 0.1);
-    assert!(all.flips() <= 0.03, "{} of {}", all.flipped, all.posed);
+    assert!(all.flips() <= 0.02, "{} of {}", all.flipped, all.posed);
     // the outline alone finds as many and is several times less exact
     let outline = accuracy(Config { align: false, ..Config::default() }, &taken).all();
     say("outline", &outline);
@@ -75,17 +76,17 @@ fn markers_at_rest_are_still() {
     assert!(by_noise.is_sorted(), "{by_noise:?}");
 }
 
-/// No clutter and no other family's marker is taken for a marker of a family that proves itself.
+/// No clutter and no other family's marker is taken for a marker of a family.
 #[test]
 fn nothing_is_seen_where_nothing_is() {
-    let taken = shots(0..20, 1, |rng, number| {
-        let other = Family::ALL[number % Family::ALL.len()];
+    let taken = shots(0..100, 1, |rng, number| {
+        let other = Family::ALL[number / 2 % Family::ALL.len()];
         Setup::negative(rng, SIZE, other, number % 2 == 1)
     });
     let mut tracker = tracker();
     let mut wrong = Vec::new();
-    let proven = Family::ALL.into_iter().filter(|family| family.chance(family.max_hamming()) < 1e-3);
-    for family in proven {
+
+    for family in Family::ALL {
         let seen: usize = taken.iter().map(|shot| ghosts(&mut tracker, shot, family)).sum();
         if seen > 0 {
             wrong.push((family, seen));
