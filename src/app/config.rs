@@ -3,7 +3,7 @@
 
 use crate::geometry::Lens;
 use crate::pixels::Size;
-use crate::scene::{LightConfig, ModelConfig, Scene};
+use crate::scene::{BoardConfig, LightConfig, ModelConfig, Scene};
 use crate::{camera, display, retouch, style, track};
 use glam::DVec2;
 use serde::Deserialize;
@@ -23,6 +23,8 @@ pub struct Config {
     pub track: track::Config,
     /// The models, each on a marker.
     pub model: Vec<ModelConfig>,
+    /// Prints that are fixed to one another.
+    pub board: Vec<BoardConfig>,
     /// The light on the models.
     pub light: LightConfig,
     /// What is done to the camera picture before it is drawn.
@@ -173,6 +175,11 @@ impl Loaded {
         let scene = Scene::build(&config.model, &config.light, folder).map_err(|e| ConfigError::Wrong {
             path: path.into(),
             line: nth_table(&text, "[[model]]", e.number),
+            reason: e.to_string(),
+        })?;
+        let scene = scene.on_boards(&config.board).map_err(|e| ConfigError::Wrong {
+            path: path.into(),
+            line: nth_table(&text, "[[board]]", e.number),
             reason: e.to_string(),
         })?;
         Ok(Loaded { config, scene })

@@ -19,6 +19,17 @@ impl Pose {
         self.rotation * point + self.translation
     }
 
+    /// This motion after another one.
+    pub fn after(&self, first: &Pose) -> Pose {
+        Pose { rotation: self.rotation * first.rotation, translation: self.apply(first.translation) }
+    }
+
+    /// The way back.
+    pub fn inverse(&self) -> Pose {
+        let rotation = self.rotation.transpose();
+        Pose { rotation, translation: -(rotation * self.translation) }
+    }
+
     /// Angle of the rotation that takes this pose's orientation to the other's, radians in [0, π].
     pub fn angle_to(&self, other: &Pose) -> f64 {
         let delta = self.rotation.transpose() * other.rotation;

@@ -3,10 +3,12 @@
 //! Bits are listed row by row from the top-left of the family's official upright picture, 1 = white. Markers
 //! with a picture instead of a code (ARToolKit's `.patt`) are in [`Patterns`].
 
+mod board;
 mod codes;
 mod patterns;
 mod read;
 
+pub use board::{Board, Print};
 pub use patterns::{Patch, PatternError, Patterns};
 
 use crate::pixels::{Plane, Size};

@@ -78,7 +78,13 @@ impl Pipeline {
                 wanted.push(Wanted { family: anchor.family, id: anchor.id, side_mm: anchor.side_mm });
             }
         }
-        let tracker = Tracker::new(track, level).knowing(scene.patterns.clone());
+        for print in scene.boards.iter().flat_map(|board| &board.prints) {
+            if !wanted.iter().any(|w| (w.family, w.id) == (print.family, Some(print.id))) {
+                wanted.push(Wanted { family: print.family, id: Some(print.id), side_mm: print.side_mm });
+            }
+        }
+        let tracker =
+            Tracker::new(track, level).knowing(scene.patterns.clone()).with_boards(scene.boards.clone());
         Self {
             retouch: Retouch::new(&retouch::Config::default(), &scene, level),
             retouches: Retouches::default(),

@@ -3,19 +3,21 @@
 //! Comes in: the scene file's tables and model files; goes out: a `Scene` that the plan and the renderer
 //! read. Nothing here knows about pictures or cameras.
 
+mod boards;
 mod builtin;
 mod config;
 mod edges;
 mod mesh;
 mod obj;
 
+pub use boards::{BoardConfig, BoardError, PrintConfig};
 pub use builtin::{BUILTIN, builtin};
 pub use config::{AnchorConfig, LightConfig, ModelConfig, SceneError};
 pub use edges::{Edge, Edges, KeptEdges};
 pub use mesh::{Material, Mesh, Wrap};
 pub use obj::{Limits, ModelError};
 
-use crate::marker::{Family, Patterns};
+use crate::marker::{Board, Family, Patterns};
 use glam::{DAffine3, DVec3, Vec3};
 use std::sync::Arc;
 
@@ -28,6 +30,8 @@ pub struct Scene {
     pub light: Light,
     /// The picture markers that anchors of [`Family::Pattern`] count.
     pub patterns: Patterns,
+    /// The prints that are fixed to one another.
+    pub boards: Vec<Board>,
 }
 
 /// A mesh on a marker.

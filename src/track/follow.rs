@@ -68,7 +68,8 @@ impl Tracker {
             follow.tracks.clear();
             follow.tracks.reserve(MOST);
             self.known.reserve(4 * MOST);
-            self.sightings.reserve(MOST);
+            let prints: usize = self.boards.iter().map(|board| board.prints.len()).sum();
+            self.sightings.reserve(MOST + prints);
             self.decoded.reserve(4 * MOST);
             follow.turn = 0;
             follow.wanted.clear();
@@ -104,6 +105,7 @@ impl Tracker {
         self.follow.turn += 1;
         self.sightings
             .extend(self.follow.tracks.iter().map(|track| track.sighting(at, lens, self.config.smooth)));
+        self.boards.iter().for_each(|board| super::board::settle(board, lens, &mut self.sightings));
         &self.sightings
     }
 

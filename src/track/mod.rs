@@ -11,6 +11,7 @@
 //! threads nor on the SIMD level.
 
 mod align;
+mod board;
 mod contour;
 mod decode;
 mod filter;
@@ -26,7 +27,7 @@ mod threshold;
 
 use crate::frame::{Sighting, Solved, State};
 use crate::geometry::Lens;
-use crate::marker::{Family, Patterns, Polarity};
+use crate::marker::{Board, Family, Patterns, Polarity};
 use crate::pixels::{Plane, PlaneRef, Size, simd::Level};
 use decode::{Decoded, View};
 use follow::Follow;
@@ -132,6 +133,7 @@ pub struct Tracker {
     config: Config,
     level: Level,
     patterns: Patterns,
+    boards: Vec<Board>,
     whole: Search,
     half: Search,
     halved: Plane<u8>,
@@ -153,6 +155,7 @@ impl Tracker {
             config,
             level,
             patterns: Patterns::default(),
+            boards: Vec::new(),
             whole: Search::default(),
             half: Search::default(),
             halved: Plane::default(),
@@ -171,6 +174,13 @@ impl Tracker {
     /// The same tracker, knowing the picture markers that [`Family::Pattern`] counts.
     pub fn knowing(mut self, patterns: Patterns) -> Self {
         self.patterns = patterns;
+        self
+    }
+
+    /// The same tracker, knowing that these prints are fixed to one another: all prints of a board have its one
+    /// pose, and while one of them is seen the covered ones are reported as [`State::Held`].
+    pub fn with_boards(mut self, boards: Vec<Board>) -> Self {
+        self.boards = boards;
         self
     }
 
@@ -193,6 +203,7 @@ impl Tracker {
                 .par_iter()
                 .map(|decoded| sight(&view, decoded, wanted, align.then_some((rectify, level)))),
         );
+        self.boards.iter().for_each(|board| board::settle(board, lens, &mut self.sightings));
         &self.sightings
     }
 

@@ -50,7 +50,7 @@ pub fn minima(corners: &[DVec2; 4], weights: &Weights, side: f64, lens: &Lens) -
     let [first, second] = starts.map(|start| {
         let pose = descend(start, corners, Some(weights), side, lens)?;
         let print = corners_mm(side);
-        let (information, _) = equations(&pose, corners, Some(weights), &print, lens)?;
+        let (information, _) = equations(&pose, corners, Some(weights), &print, side, lens)?;
         let cost = |weights| cost(&pose, corners, weights, &print, lens);
         let error_px = (cost(None) * 0.25).sqrt();
         Some(Minimum { pose, error_px, cost: cost(Some(weights)), information })
@@ -149,7 +149,7 @@ fn axis_to(ray: DVec3) -> DMat3 {
 }
 
 /// The nearest rotation by Gram-Schmidt, twice for full precision; `None` when the columns are degenerate.
-fn orthonormal(m: DMat3) -> Option<DMat3> {
+pub(super) fn orthonormal(m: DMat3) -> Option<DMat3> {
     let mut m = m;
     for _ in 0..2 {
         let x = m.x_axis / m.x_axis.length();
@@ -161,7 +161,7 @@ fn orthonormal(m: DMat3) -> Option<DMat3> {
 }
 
 /// Squared reprojection error, px² or deviations; infinite behind the camera.
-fn cost(
+pub(super) fn cost(
     pose: &Pose,
     corners_px: &[DVec2; 4],
     weights: Option<&Weights>,
@@ -207,7 +207,7 @@ fn descend(
     let [part, least] = if weights.is_some() { ENOUGH_DEVIATIONS } else { ENOUGH };
     let mut damping = 1e-4;
     for _ in 0..STEPS {
-        let Some((a, b)) = equations(&pose, corners_px, weights, &print, lens) else { break };
+        let Some((a, b)) = equations(&pose, corners_px, weights, &print, side_mm, lens) else { break };
         let mut damped = a;
         for (i, row) in damped.iter_mut().enumerate() {
             row[i] += damping * row[i] + 1e-300;
@@ -237,7 +237,7 @@ fn descend(
 }
 
 /// A rotation by about `turn` (radians along each axis), exactly orthonormal without sine or cosine.
-fn cayley(turn: DVec3) -> DMat3 {
+pub(super) fn cayley(turn: DVec3) -> DMat3 {
     let h = turn * 0.5;
     let k = 2.0 / (1.0 + h.length_squared());
     let skew =
@@ -247,15 +247,16 @@ fn cayley(turn: DVec3) -> DMat3 {
 
 type Equations = ([[f64; 6]; 6], [f64; 6]);
 
-/// Normal equations of the reprojection error by a turn (left of the rotation) and a shift in sides.
-fn equations(
+/// Normal equations of the reprojection error of four points (`print`) by a turn (left of the rotation) and a shift
+/// in units of `side`: A's lower triangle and the right side.
+pub(super) fn equations(
     pose: &Pose,
     corners_px: &[DVec2; 4],
     weights: Option<&Weights>,
     print: &[DVec3; 4],
+    side: f64,
     lens: &Lens,
 ) -> Option<Equations> {
-    let side = print[1].x - print[0].x;
     let (mut rows, mut misses) = ([[0.0; 8]; 6], [0.0; 8]);
     for (k, (corner, point)) in corners_px.iter().zip(print).enumerate() {
         let turned = pose.rotation * *point;
