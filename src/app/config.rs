@@ -244,6 +244,21 @@ mod tests {
     }
 
     #[test]
+    fn every_boards_file_is_read() {
+        let folder = Path::new("board");
+        let files = std::fs::read_dir(folder).expect("the boards").flatten().map(|file| file.path());
+        let mut boards: Vec<_> =
+            files.filter(|path| path.extension().is_some_and(|end| end == "toml")).collect();
+        boards.sort();
+        let names: Vec<_> = boards.iter().filter_map(|path| path.file_stem()?.to_str()).collect();
+        assert_eq!(names, ["laptop", "rpi4", "rpi5", "virtual"]);
+        for path in &boards {
+            let loaded = Loaded::read(path).expect("a visor file");
+            assert_eq!((loaded.scene.models.len(), loaded.config.display.sink), (1, display::Kind::Kms));
+        }
+    }
+
+    #[test]
     fn a_wrong_value_names_the_line() {
         let message = error("[style]\nname = \"cartoony\"\n");
         assert!(message.starts_with("visor.toml:2: ") && message.contains("`cartoon`"), "{message}");

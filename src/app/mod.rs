@@ -8,12 +8,14 @@ pub mod config;
 mod demo;
 mod detect;
 mod draw;
+mod fault;
 mod logging;
 mod plan;
 mod progress;
 mod render;
 mod report;
 mod run;
+mod service;
 mod stylize;
 
 use crate::camera::CameraError;

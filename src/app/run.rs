@@ -1,11 +1,13 @@
 //! `vernissage run`: the appliance. A camera thread hands its newest picture to the pipeline, which draws and
-//! shows it; a camera that leaves is opened again.
+//! shows it; a camera that leaves is opened again, and a slate is shown meanwhile.
 
 use super::config::Loaded;
+use super::fault::{Fault, Present};
 use super::report::ms;
+use super::service::Service;
 use super::{Failed, pool, say};
 use crate::camera::{self, CameraError, Grab, RawFormat, RawRef, Source, trace};
-use crate::display::{self, Sink};
+use crate::display::{self, Sink, Slate};
 use crate::frame::{Frame, now};
 use crate::pipeline::{Pipeline, Reader, Record, Stage, Writer, latest};
 use crate::pixels::simd;
@@ -44,6 +46,9 @@ struct Captured {
 
 /// A picture older than this is worth a word in the log.
 const PATIENCE: Duration = Duration::from_secs(1);
+/// A slate is shown when no picture came for so many pictures' time, and no sooner than this; then another one so often.
+const MISSING: u32 = 3;
+const SLATE_EVERY: Duration = Duration::from_millis(250);
 /// How often the figures are logged.
 const REPORT_EVERY: Duration = Duration::from_secs(10);
 
@@ -63,6 +68,11 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     let pipeline = Pipeline::new(scene, lens, config.track.clone(), &config.style, simd::best())
         .retouched(&config.retouch);
     let trace = args.trace.as_deref().map(trace::Writer::create).transpose()?;
+    let service =
+        Service::start().context(Failed("cannot start the thread that reports to the service manager"))?;
+    // a file that pauses shows its last picture
+    let slate = source.is_live().then(|| Slate::new(size));
+    let fault = Arc::<Present>::default();
 
     let stop = Arc::new(AtomicBool::new(false));
     for signal in [signal_hook::consts::SIGTERM, signal_hook::consts::SIGINT] {
@@ -72,10 +82,14 @@ pub fn run(args: Args) -> anyhow::Result<()> {
         let (writer, reader) = latest(Captured::default(), std::thread::current());
         let camera = std::thread::Builder::new().name("camera".into());
         let (stopped, settings, keep_raw) = (stop.clone(), config.camera.clone(), args.trace.is_some());
+        let camera_fault = fault.clone();
         let camera = camera
-            .spawn(move || watch(source, &settings, keep_raw, writer, &stopped))
+            .spawn(move || watch(source, &settings, keep_raw, writer, &camera_fault, &stopped))
             .context(Failed("cannot start the camera's thread"))?;
-        let shown = Show { pipeline, sink, trace, display: &config.display, args: &args }.all(reader, &stop);
+        let interval = Duration::from_secs_f64(1.0 / config.camera.fps);
+        let mut show =
+            Show { pipeline, sink, trace, slate, service, interval, display: &config.display, args: &args };
+        let shown = show.all(reader, &fault, &stop);
         stop.store(true, Ordering::Relaxed);
         // a camera is closed in order; a thread that hangs in a read (a pipe that nobody fills) ends with us
         let deadline = Instant::now() + 2 * PATIENCE;
@@ -96,6 +110,7 @@ fn watch(
     settings: &camera::Config,
     keep_raw: bool,
     mut writer: Writer<Captured>,
+    fault: &Present,
     stop: &AtomicBool,
 ) -> Result<(), CameraError> {
     source.keep_raw(keep_raw);
@@ -126,12 +141,19 @@ fn watch(
                 grabbed
             };
             match grabbed {
-                Ok(Grab::Frame) => writer.publish(),
+                Ok(Grab::Frame) => {
+                    fault.set(None);
+                    writer.publish();
+                }
                 Ok(Grab::End) => return Ok(()),
-                Ok(Grab::Timeout) => log::warn!("camera: no picture for {PATIENCE:?}"),
+                Ok(Grab::Timeout) => {
+                    fault.set(Some(Fault::CameraSilent));
+                    log::warn!("{}: camera: no picture for {PATIENCE:?}", Fault::CameraSilent.code());
+                }
                 Err(error) if !source.is_live() => return Err(error),
                 Err(error) => {
-                    log::warn!("camera: {error}; opening it again");
+                    log::warn!("{}: camera: {error}; opening it again", Fault::CameraGone.code());
+                    fault.set(Some(Fault::CameraGone));
                     // the driver frees a lost device only when every descriptor on it is closed
                     drop(source);
                     match reopen(settings, keep_raw, stop) {
@@ -187,6 +209,11 @@ struct Show<'a> {
     pipeline: Pipeline,
     sink: Sink,
     trace: Option<trace::Writer>,
+    /// For cameras.
+    slate: Option<Slate>,
+    service: Service,
+    /// From one picture to the next, as wished.
+    interval: Duration,
     display: &'a display::Config,
     args: &'a Args,
 }
@@ -194,6 +221,7 @@ struct Show<'a> {
 /// Figures of a run.
 struct Figures {
     shown: u64,
+    slates: u64,
     gaps: u64,
     backwards: u64,
     tracked: u64,
@@ -203,9 +231,15 @@ struct Figures {
 }
 
 impl Show<'_> {
-    fn all(&mut self, mut reader: Reader<Captured>, stop: &AtomicBool) -> anyhow::Result<()> {
+    fn all(
+        &mut self,
+        mut reader: Reader<Captured>,
+        fault: &Present,
+        stop: &AtomicBool,
+    ) -> anyhow::Result<()> {
         let mut figures = Figures {
             shown: 0,
+            slates: 0,
             gaps: 0,
             backwards: 0,
             tracked: 0,
@@ -216,12 +250,21 @@ impl Show<'_> {
         let start = Instant::now();
         let mut reported = Instant::now();
         let mut captured_before = None;
+        // a camera may take a while to its first picture
+        let mut patience = PATIENCE;
         while !stop.load(Ordering::Relaxed) && self.args.frames.is_none_or(|n| figures.shown < n) {
             let waiting = Instant::now();
             let ended = reader.is_abandoned();
-            let Some(captured) = reader.next(if ended { Duration::ZERO } else { PATIENCE }) else {
+            let Some(captured) = reader.next(if ended { Duration::ZERO } else { patience }) else {
                 if ended {
                     break;
+                }
+                patience = SLATE_EVERY;
+                if let Some(slate) = &mut self.slate {
+                    let says = fault.get().unwrap_or(Fault::CameraSilent).says();
+                    self.sink.present(slate.draw(&says)).context(Failed("cannot show the picture"))?;
+                    self.service.shown();
+                    figures.slates += 1;
                 }
                 continue;
             };
@@ -230,12 +273,16 @@ impl Show<'_> {
             let mut drawn = self.pipeline.draw_frame(frame);
             let shown = drawn.timings.measure(Stage::Show, || self.sink.present(drawn.canvas));
             let shown = shown.context(Failed("cannot show the picture"))?;
+            self.service.shown();
             // the flip's own time where the display tells it, one picture late; else when it was handed over
             if let (Some(before), Some(flipped)) = (captured_before, shown.previous) {
                 figures.latency.push(flipped.saturating_sub(before));
             } else if self.sink.mode().is_none() {
                 figures.latency.push(shown.at.saturating_sub(frame.captured_at));
             }
+            let since = captured_before.map(|before| frame.captured_at.saturating_sub(before));
+            let interval = since.filter(|since| *since < PATIENCE).unwrap_or(self.interval);
+            patience = (interval.max(self.interval) * MISSING).max(SLATE_EVERY);
             captured_before = Some(frame.captured_at);
             figures.count(frame.sequence, !drawn.sightings.is_empty());
             for stage in Stage::ALL.into_iter().skip(1) {
@@ -319,9 +366,73 @@ impl Figures {
             .collect();
         serde_json::json!({
             "shown": self.shown, "seconds": elapsed.as_secs_f64(), "tracked": self.tracked,
-            "missing": self.gaps, "replaced": replaced, "out_of_order": self.backwards,
+            "slates": self.slates, "missing": self.gaps, "replaced": replaced, "out_of_order": self.backwards,
             "latency_ms": { "p50": in_ms(self.latency.percentile(0.5)), "p99": in_ms(self.latency.percentile(0.99)) },
             "stages_ms": stages,
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::Lens;
+    use crate::pixels::{Plane, Rgb, Size, picture};
+    use crate::scene::Scene;
+    use crate::{style, track};
+
+    /// A camera that pauses: slates meanwhile, its pictures again afterwards.
+    #[test]
+    fn slates_are_shown_while_the_camera_is_silent() {
+        let size = Size::new(160, 120);
+        let folder = std::env::temp_dir().join(format!("vernissage-slates-{}", std::process::id()));
+        let path = Some(folder.clone());
+        let display = display::Config { sink: display::Kind::Png, path, ..display::Config::default() };
+        let style = style::Config::default();
+        let track = track::Config::default();
+        let pipeline =
+            Pipeline::new(Scene::default(), Lens::guess(size), track, &style, simd::Level::fallback());
+        let args = Args { config: PathBuf::new(), frames: Some(4), trace: None, json: true };
+        let (mut writer, reader) = latest(Captured::default(), std::thread::current());
+        let (fault, stop) = (Present::default(), AtomicBool::new(false));
+        fault.set(Some(Fault::CameraGone));
+        let mut show = Show {
+            pipeline,
+            sink: Sink::open(&display, size).expect("a folder"),
+            trace: None,
+            slate: Some(Slate::new(size)),
+            service: Service::start().expect("nobody listens"),
+            interval: Duration::from_millis(33),
+            display: &display,
+            args: &args,
+        };
+        std::thread::scope(|scope| {
+            scope.spawn(move || {
+                for sequence in 0..4 {
+                    // the pause itself is what is tested
+                    std::thread::sleep(Duration::from_millis(if sequence == 2 { 900 } else { 100 }));
+                    writer.buffer().frame = Frame {
+                        sequence,
+                        captured_at: now(),
+                        luma: Plane::new(size, 90),
+                        color: Rgb::new(size, [90; 3]),
+                        ..Frame::default()
+                    };
+                    writer.publish();
+                }
+            });
+            show.all(reader, &fault, &stop).expect("shown");
+        });
+        let files = std::fs::read_dir(&folder).expect("pictures").flatten();
+        let mut files: Vec<_> = files.map(|file| file.path()).collect();
+        files.sort();
+        let dark = |file: &PathBuf| picture::read(file).expect("a picture").at(1, 1)[0] < 40;
+        let slates: Vec<bool> = files.iter().map(dark).collect();
+        // .9 s of silence: the first after .25 s, then four a second; a busy machine may skip some
+        let count = slates.iter().filter(|slate| **slate).count();
+        assert!((1..=4).contains(&count) && slates.len() == count + 4, "{slates:?}");
+        assert!(!slates[0] && !slates[1], "pictures first: {slates:?}");
+        assert_eq!(slates.last(), Some(&false), "and pictures again");
+        std::fs::remove_dir_all(&folder).expect("its own folder");
     }
 }

@@ -14,6 +14,7 @@ mod config;
 #[cfg(target_os = "linux")]
 mod kms;
 mod png_dir;
+mod slate;
 mod xrgb;
 mod y4m;
 
@@ -21,6 +22,7 @@ pub use config::{Config, Filter, Kind, ModeSize, Scale};
 #[cfg(target_os = "linux")]
 pub use kms::Kms;
 pub use png_dir::PngDir;
+pub use slate::Slate;
 pub use xrgb::{Composer, Xrgb, compose};
 pub use y4m::Y4m;
 
