@@ -224,6 +224,7 @@ fn every_press_counts_once_however_it_shows() {
         ("R0 R91 U90 D5", 1),
         ("R0 R91 D5 U90", 1),
         ("R0 S6 R91", 1),
+        ("R0 S88 U90", 1),
         ("R0 D5 D40 U90", 2),
         ("R0 D5 D40 U30 U90", 2),
         ("R0 D40 U30 D5 U90", 2),
@@ -643,25 +644,28 @@ fn hammer(count: u64, button: impl Fn(u8) -> ButtonConfig, seed: u64) -> ([u64; 
     let mut next = [5000, 5300, 5700_u64];
     let mut going: [Option<Made>; 3] = [None, None, None];
     let mut recent: Vec<(Made, bool)> = Vec::new();
-    let (mut made, mut now, mut plugged) = (0, 0_u64, true);
+    let (mut made, mut now, mut plugged, mut open) = (0, 0_u64, true, false);
     let unplug_every = (count * 250 / 100).max(20_000);
     let mut unplug_at = unplug_every;
     let mut asks = Vec::new();
-    while made < count
-        || going.iter().any(Option::is_some)
-        || now < next.iter().max().copied().unwrap_or(0) + 12_000
-    {
+    let mut last_up = 0;
+    while made < count || going.iter().any(Option::is_some) || now < last_up + 12_000 {
         now += 1;
         let quiet = now + 8000 >= unplug_at; // nobody presses around an unplugging: those are tested above
         if plugged && now == unplug_at {
             plugged = false;
-            to_visor.clear();
-            to_board.clear();
             link.closed(ms(now));
-        }
-        if !plugged && now > unplug_at + 3000 && link.wants_port(ms(now)) {
+        } else if !plugged && now == unplug_at + 3000 {
             plugged = true;
             unplug_at = now + unplug_every;
+        }
+        // as the port's thread does it: closed where the link is, opened when it wants to be
+        if open && !link.wants_port(ms(now)) {
+            open = false;
+            to_visor.clear();
+            to_board.clear();
+        } else if !open && plugged && link.wants_port(ms(now)) {
+            open = true;
             link.opened(ms(now));
         }
         for k in 0..3 {
@@ -679,14 +683,16 @@ fn hammer(count: u64, button: impl Fn(u8) -> ButtonConfig, seed: u64) -> ([u64; 
                 }
                 Some(press) => {
                     board.edge(k, now, &mut to_visor);
+                    last_up = now;
                     recent.push((press, false));
                     next[k] = now + rng.int(80, 900) as u64;
                 }
             }
         }
-        if plugged {
+        if open {
+            let was_up = link.is_up();
             let received = spoil(&mut to_visor, &mut rng);
-            for body in through.bodies(&received) {
+            for body in through.bodies(&received).iter().filter(|_| was_up) {
                 let words: Vec<&str> = body.split(' ').collect();
                 let at = |word: &str| u64::from(word.parse::<u32>().expect("a time").wrapping_sub(origin));
                 let shown: Option<(Option<usize>, u64)> = match words[1..] {

@@ -140,8 +140,8 @@ fn later(a: u32, b: u32) -> i32 {
 enum Going {
     /// Nothing.
     Idle,
-    /// Down since then; not told yet. `second`: of a double press.
-    Down { since: u32, second: bool },
+    /// Down since then, or longer where the edge is not known; not told yet. `second`: of a double press.
+    Down { since: u32, edge: bool, second: bool },
     /// Told, and still down.
     Told,
     /// Released then; a second press may follow.
@@ -224,12 +224,12 @@ impl Button {
                 // where it was down still, its release was missed
                 self.close(at, number, out);
                 let second = self.follows(at, number, out);
-                self.going = Going::Down { since: at, second };
+                self.going = Going::Down { since: at, edge: fact == Fact::Down, second };
             }
             // a press before the one that is going on
             _ if new => out.push(Press::Done(number, Kind::Short)),
             // this is when the one that is going on began
-            Going::Down { since, .. } if fact == Fact::Down && joins => *since = at,
+            Going::Down { since, edge, .. } if fact == Fact::Down && joins => (*since, *edge) = (at, true),
             _ => {}
         }
         if !self.is_down {
@@ -281,16 +281,15 @@ impl Button {
 
     /// It is up again.
     fn close(&mut self, until: u32, number: u8, out: &mut Vec<Press>) {
-        let Going::Down { since, second } = self.going else {
+        let Going::Down { since, edge, second } = self.going else {
             if self.going == Going::Told {
                 self.going = Going::Idle;
             }
             return;
         };
         let (held, kind) = (later(until, since), if second { Kind::Double } else { Kind::Short });
-        // an edge alone says nothing of how long: 0 is no pulse
         self.going = Going::Idle;
-        if (1..PULSE_MS as i32).contains(&held) {
+        if edge && held < PULSE_MS as i32 {
             return;
         }
         if self.wanted.long && held >= LONG_MS as i32 {
@@ -311,7 +310,7 @@ impl Button {
             out.push(Press::Muted(number, false));
         }
         match self.going {
-            Going::Down { since, second } => {
+            Going::Down { since, second, .. } => {
                 let held = later(now, since);
                 let soon = !self.wanted.long && !self.wanted.double && held >= PULSE_MS as i32;
                 if soon {
