@@ -10,6 +10,7 @@ mod detect;
 mod draw;
 mod logging;
 mod plan;
+mod presses;
 mod progress;
 mod render;
 mod report;

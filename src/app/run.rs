@@ -2,12 +2,13 @@
 //! shows it; a camera that leaves is opened again.
 
 use super::config::Loaded;
+use super::presses::Presses;
 use super::report::ms;
 use super::{Failed, pool, say};
 use crate::camera::{self, CameraError, Grab, RawFormat, RawRef, Source, trace};
 use crate::display::{self, Sink};
 use crate::frame::{Frame, now};
-use crate::pipeline::{Pipeline, Reader, Record, Stage, Writer, latest};
+use crate::pipeline::{Pipeline, Reader, Record, Stage, Timings, Writer, latest};
 use crate::pixels::simd;
 use anyhow::Context;
 use std::path::PathBuf;
@@ -62,6 +63,8 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     log::info!("camera {source}, display {sink}, style {}", config.style.name);
     let pipeline = Pipeline::new(scene, lens, config.track.clone(), &config.style, simd::best())
         .retouched(&config.retouch);
+    let presses =
+        Presses::new(&config.serial, &config.style).context(Failed("cannot listen to the buttons"))?;
     let trace = args.trace.as_deref().map(trace::Writer::create).transpose()?;
 
     let stop = Arc::new(AtomicBool::new(false));
@@ -75,7 +78,8 @@ pub fn run(args: Args) -> anyhow::Result<()> {
         let camera = camera
             .spawn(move || watch(source, &settings, keep_raw, writer, &stopped))
             .context(Failed("cannot start the camera's thread"))?;
-        let shown = Show { pipeline, sink, trace, display: &config.display, args: &args }.all(reader, &stop);
+        let shown =
+            Show { pipeline, sink, presses, trace, display: &config.display, args: &args }.all(reader, &stop);
         stop.store(true, Ordering::Relaxed);
         // a camera is closed in order; a thread that hangs in a read (a pipe that nobody fills) ends with us
         let deadline = Instant::now() + 2 * PATIENCE;
@@ -186,6 +190,7 @@ fn tell_once(said: &mut Option<String>, error: &CameraError) {
 struct Show<'a> {
     pipeline: Pipeline,
     sink: Sink,
+    presses: Presses,
     trace: Option<trace::Writer>,
     display: &'a display::Config,
     args: &'a Args,
@@ -223,12 +228,23 @@ impl Show<'_> {
                 if ended {
                     break;
                 }
+                self.presses.starved(self.pipeline.style());
                 continue;
             };
             figures.stages[Stage::Camera as usize].push(waiting.elapsed());
             let frame = &captured.frame;
-            let mut drawn = self.pipeline.draw_frame(frame);
-            let shown = drawn.timings.measure(Stage::Show, || self.sink.present(drawn.canvas));
+            self.presses.act(&mut self.pipeline);
+            let style = self.pipeline.style();
+            let mut timings = Timings::default();
+            let (canvas, sightings) = if self.presses.stands_still(frame.size()) {
+                (self.presses.picture(), &[][..])
+            } else {
+                let drawn = self.pipeline.draw_frame(frame);
+                timings = drawn.timings;
+                self.presses.drawn(drawn.canvas);
+                (drawn.canvas, drawn.sightings)
+            };
+            let shown = timings.measure(Stage::Show, || self.sink.present(canvas));
             let shown = shown.context(Failed("cannot show the picture"))?;
             // the flip's own time where the display tells it, one picture late; else when it was handed over
             if let (Some(before), Some(flipped)) = (captured_before, shown.previous) {
@@ -237,9 +253,9 @@ impl Show<'_> {
                 figures.latency.push(shown.at.saturating_sub(frame.captured_at));
             }
             captured_before = Some(frame.captured_at);
-            figures.count(frame.sequence, !drawn.sightings.is_empty());
+            figures.count(frame.sequence, !sightings.is_empty());
             for stage in Stage::ALL.into_iter().skip(1) {
-                figures.stages[stage as usize].push(drawn.timings.of(stage));
+                figures.stages[stage as usize].push(timings.of(stage));
             }
             if let Some(trace) = &mut self.trace {
                 let Some((format, bytes)) = &captured.raw else {
@@ -250,7 +266,7 @@ impl Show<'_> {
                 let mode = self.sink.mode().unwrap_or(frame.size());
                 // what the screen shows; without one, what a screen of the picture's size would show
                 let hash = self.sink.scan_out_hash().unwrap_or_else(|| {
-                    display::compose(drawn.canvas, mode, self.display.scale, self.display.filter).hash()
+                    display::compose(canvas, mode, self.display.scale, self.display.filter).hash()
                 });
                 let entry = trace::Entry {
                     sequence: frame.sequence,
@@ -263,6 +279,7 @@ impl Show<'_> {
                     .push(&entry, &RawRef { format: *format, bytes })
                     .context(Failed("cannot write the trace"))?;
             }
+            self.presses.shown(frame.sequence, style, sightings);
             if reported.elapsed() > REPORT_EVERY {
                 drop(captured);
                 log::info!("{}", figures.line(start.elapsed(), reader.replaced()));

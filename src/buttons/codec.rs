@@ -312,7 +312,8 @@ impl Wire {
         match line {
             [] | [b'#', ..] => None,
             [b'$', frame @ ..] => self.message(frame),
-            text => Some(Line::Text(String::from_utf8_lossy(text).trim().to_owned())).filter(|t| *t != Line::Text(String::new())),
+            text => Some(Line::Text(String::from_utf8_lossy(text).trim().to_owned()))
+                .filter(|t| *t != Line::Text(String::new())),
         }
     }
 

@@ -65,7 +65,9 @@ mod tests {
         assert_eq!(full(" help "), Ok(Command::Help));
         assert_eq!(full("press 3"), Ok(Command::Press(3)));
         assert_eq!(full("style cartoon"), Ok(Command::Style("cartoon")));
-        for wrong in ["press", "press 0", "press 33", "press one", "press 1 2", "style", "rm -rf /", "help me", ""] {
+        for wrong in
+            ["press", "press 0", "press 33", "press one", "press 1 2", "style", "rm -rf /", "help me", ""]
+        {
             assert!(full(wrong).is_err(), "{wrong}");
         }
         for writing in ["press 1", "style cartoon"] {

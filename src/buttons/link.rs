@@ -111,9 +111,17 @@ impl std::ops::Deref for Markers {
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum State {
     /// Opened again at `again`; the pause after that.
-    Closed { again: Duration, pause: Duration },
-    Greeting { next: Duration, pause: Duration },
-    Up { heard: Duration },
+    Closed {
+        again: Duration,
+        pause: Duration,
+    },
+    Greeting {
+        next: Duration,
+        pause: Duration,
+    },
+    Up {
+        heard: Duration,
+    },
 }
 
 /// One end of the line.
@@ -368,7 +376,9 @@ impl Link {
     fn greeted(&mut self, proto: u32, now: Duration) {
         if proto != PROTOCOL {
             self.say(&Said::No(PROTOCOL, PROTOCOL));
-            log::warn!("buttons: the board speaks protocol {proto}, this visor {PROTOCOL}: update its program");
+            log::warn!(
+                "buttons: the board speaks protocol {proto}, this visor {PROTOCOL}: update its program"
+            );
             return;
         }
         self.say(&Said::Ok(PROTOCOL, env!("CARGO_PKG_VERSION")));
@@ -405,7 +415,9 @@ impl Link {
                     let bit = 1_u32.checked_shl(u32::from(button).wrapping_sub(1)).unwrap_or(0);
                     self.noisy = if muted { self.noisy | bit } else { self.noisy & !bit };
                     if muted {
-                        log::warn!("buttons: button {button} chatters: not listened to for 5 s; check its wiring");
+                        log::warn!(
+                            "buttons: button {button} chatters: not listened to for 5 s; check its wiring"
+                        );
                     }
                 }
             }
