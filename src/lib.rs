@@ -10,13 +10,14 @@
 //! | 2 | [`marker`]: marker families as data |
 //! | 3 | [`frame`]: what flows; [`scene`]: what is wanted |
 //! | 4 | [`render`]: the tile rasteriser; [`retouch`]: the camera picture before it is styled, and which part is |
-//! | 5 | [`camera`], [`track`], [`style`], [`display`] |
+//! | 5 | [`camera`], [`track`], [`style`], [`display`], [`buttons`] |
 //! | 6 | [`pipeline`]: one frame, the plan, the hand-over |
 //! | 7 | [`app`]: commands, settings, threads |
 #![deny(unsafe_code)]
 #![warn(missing_docs)]
 
 pub mod app;
+pub mod buttons;
 pub mod camera;
 pub mod display;
 pub mod frame;

@@ -16,6 +16,7 @@ const FLOORS: &[(&str, u32)] = &[
     ("track", 5),
     ("style", 5),
     ("display", 5),
+    ("buttons", 5),
     ("pipeline", 6),
     ("app", 7),
 ];

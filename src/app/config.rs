@@ -4,7 +4,7 @@
 use crate::geometry::Lens;
 use crate::pixels::Size;
 use crate::scene::{BoardConfig, LightConfig, ModelConfig, Scene};
-use crate::{camera, display, retouch, style, track};
+use crate::{buttons, camera, display, retouch, style, track};
 use glam::DVec2;
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
@@ -33,6 +33,8 @@ pub struct Config {
     pub style: style::Config,
     /// Where it is shown.
     pub display: display::Config,
+    /// Buttons on a serial line.
+    pub serial: buttons::Config,
 }
 
 /// The `[lens]` table: a calibration, pixel centers at integers, for pictures of `width` x `height`; pictures
@@ -105,6 +107,7 @@ impl Config {
             let key = e.key.rsplit('.').next().unwrap_or("retouch");
             wrong(find_key(text, key), e.to_string())
         })?;
+        config.serial.check().map_err(|(key, reason)| wrong(find_key(text, key), reason))?;
         config.style.validate().map_err(|e| wrong(find_key(text, "style"), e.to_string()))?;
         if let Some(lens) = &config.lens {
             lens.check().map_err(|reason| wrong(find_key(text, "lens"), reason))?;
@@ -278,6 +281,28 @@ mod tests {
             error(text).starts_with("visor.toml:4: camera.synthetic.id = 587: tag36h11 has ids 0 to 586")
         );
         assert!(error("[camera.synthetic]\nside_mm = inf\n").contains("camera.synthetic.side_mm = inf"));
+    }
+
+    #[test]
+    fn buttons_mean_what_they_are_told_to() {
+        use buttons::{Action, Kind};
+        let text = "[serial]\nport = \"/dev/ttyACM0\"\nconsole = \"full\"\n\n[[serial.button]]\nnumber = 4\n\
+                    short = \"freeze\"\ndouble = \"style-previous\"\n";
+        let serial = Config::parse(text, Path::new("a")).expect("valid").serial;
+        assert_eq!((serial.baud, serial.console), (115_200, buttons::Console::Full));
+        assert_eq!(serial.action(4, Kind::Double), Some(Action::StylePrevious));
+        assert_eq!((serial.action(4, Kind::Long), serial.action(1, Kind::Short)), (None, None));
+        assert!(serial.wanted()[3].double && !serial.wanted()[3].long);
+        let usual = buttons::Config::default();
+        assert_eq!(usual.action(1, Kind::Long), Some(Action::Standby));
+        assert!(error("[serial]\nbaud = 7\n").starts_with("visor.toml:2: serial.baud = 7: 1200 to"));
+        assert!(
+            error("[[serial.button]]\nshort = \"freeze\"\nnumber = 0\n")
+                .starts_with("visor.toml:3: serial.button")
+        );
+        let twice = "[[serial.button]]\nnumber = 2\n".repeat(2);
+        assert!(error(&twice).contains("button 2 has two tables"));
+        assert!(error("[[serial.button]]\nnumber = 2\nshort = \"style\"\n").contains("`style-next`"));
     }
 
     #[test]

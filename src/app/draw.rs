@@ -19,7 +19,7 @@ use std::time::Instant;
 #[command(after_help = "Examples:\n  vernissage draw --model teapot --camera cam.json --out teapot\n  \
     vernissage draw --model bunny.obj --camera cam.json --out bunny --peel --repeat 100 --json")]
 pub struct Args {
-    /// OBJ file, or the name of a built-in model (teapot, spot)
+    /// OBJ, .glb, PLY or STL file, or the name of a built-in model (teapot, spot)
     #[arg(long, value_name = "M.obj")]
     model: PathBuf,
     /// JSON with width, height, fx, fy, cx, cy, near, far, world_to_camera (16 numbers, row by row)
@@ -147,7 +147,9 @@ fn load(path: &Path) -> anyhow::Result<Mesh> {
     {
         return Ok(mesh);
     }
-    Mesh::load(path).map_err(|e| anyhow::anyhow!("{e}; give an OBJ file or one of {}", BUILTIN.join(", ")))
+    Mesh::load(path).map_err(|e| {
+        anyhow::anyhow!("{e}; give an OBJ, .glb, PLY or STL file or one of {}", BUILTIN.join(", "))
+    })
 }
 
 fn read_camera(path: &Path) -> anyhow::Result<(Camera, DAffine3)> {

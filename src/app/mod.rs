@@ -11,6 +11,7 @@ mod draw;
 mod fault;
 mod logging;
 mod plan;
+mod presses;
 mod progress;
 mod render;
 mod report;

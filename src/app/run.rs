@@ -3,13 +3,14 @@
 
 use super::config::Loaded;
 use super::fault::{Fault, Present};
+use super::presses::Presses;
 use super::report::ms;
 use super::service::Service;
 use super::{Failed, pool, say};
 use crate::camera::{self, CameraError, Grab, RawFormat, RawRef, Source, trace};
 use crate::display::{self, Sink, Slate};
 use crate::frame::{Frame, now};
-use crate::pipeline::{Pipeline, Reader, Record, Stage, Writer, latest};
+use crate::pipeline::{Pipeline, Reader, Record, Stage, Timings, Writer, latest};
 use crate::pixels::simd;
 use anyhow::Context;
 use std::path::PathBuf;
@@ -67,6 +68,8 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     log::info!("camera {source}, display {sink}, style {}", config.style.name);
     let pipeline = Pipeline::new(scene, lens, config.track.clone(), &config.style, simd::best())
         .retouched(&config.retouch);
+    let presses =
+        Presses::new(&config.serial, &config.style).context(Failed("cannot listen to the buttons"))?;
     let trace = args.trace.as_deref().map(trace::Writer::create).transpose()?;
     let service =
         Service::start().context(Failed("cannot start the thread that reports to the service manager"))?;
@@ -87,8 +90,9 @@ pub fn run(args: Args) -> anyhow::Result<()> {
             .spawn(move || watch(source, &settings, keep_raw, writer, &camera_fault, &stopped))
             .context(Failed("cannot start the camera's thread"))?;
         let interval = Duration::from_secs_f64(1.0 / config.camera.fps);
+        let display = &config.display;
         let mut show =
-            Show { pipeline, sink, trace, slate, service, interval, display: &config.display, args: &args };
+            Show { pipeline, sink, presses, trace, slate, service, interval, display, args: &args };
         let shown = show.all(reader, &fault, &stop);
         stop.store(true, Ordering::Relaxed);
         // a camera is closed in order; a thread that hangs in a read (a pipe that nobody fills) ends with us
@@ -208,6 +212,7 @@ fn tell_once(said: &mut Option<String>, error: &CameraError) {
 struct Show<'a> {
     pipeline: Pipeline,
     sink: Sink,
+    presses: Presses,
     trace: Option<trace::Writer>,
     /// For cameras.
     slate: Option<Slate>,
@@ -259,8 +264,9 @@ impl Show<'_> {
                 if ended {
                     break;
                 }
+                self.presses.starved(self.pipeline.style());
                 patience = SLATE_EVERY;
-                if let Some(slate) = &mut self.slate {
+                if let Some(slate) = self.slate.as_mut().filter(|_| !self.presses.sleeps()) {
                     let says = fault.get().unwrap_or(Fault::CameraSilent).says();
                     self.sink.present(slate.draw(&says)).context(Failed("cannot show the picture"))?;
                     self.service.shown();
@@ -270,8 +276,18 @@ impl Show<'_> {
             };
             figures.stages[Stage::Camera as usize].push(waiting.elapsed());
             let frame = &captured.frame;
-            let mut drawn = self.pipeline.draw_frame(frame);
-            let shown = drawn.timings.measure(Stage::Show, || self.sink.present(drawn.canvas));
+            self.presses.act(&mut self.pipeline);
+            let style = self.pipeline.style();
+            let mut timings = Timings::default();
+            let (canvas, sightings) = if self.presses.stands_still(frame.size()) {
+                (self.presses.picture(), &[][..])
+            } else {
+                let drawn = self.pipeline.draw_frame(frame);
+                timings = drawn.timings;
+                self.presses.drawn(drawn.canvas);
+                (drawn.canvas, drawn.sightings)
+            };
+            let shown = timings.measure(Stage::Show, || self.sink.present(canvas));
             let shown = shown.context(Failed("cannot show the picture"))?;
             self.service.shown();
             // the flip's own time where the display tells it, one picture late; else when it was handed over
@@ -284,9 +300,9 @@ impl Show<'_> {
             let interval = since.filter(|since| *since < PATIENCE).unwrap_or(self.interval);
             patience = (interval.max(self.interval) * MISSING).max(SLATE_EVERY);
             captured_before = Some(frame.captured_at);
-            figures.count(frame.sequence, !drawn.sightings.is_empty());
+            figures.count(frame.sequence, !sightings.is_empty());
             for stage in Stage::ALL.into_iter().skip(1) {
-                figures.stages[stage as usize].push(drawn.timings.of(stage));
+                figures.stages[stage as usize].push(timings.of(stage));
             }
             if let Some(trace) = &mut self.trace {
                 let Some((format, bytes)) = &captured.raw else {
@@ -297,7 +313,7 @@ impl Show<'_> {
                 let mode = self.sink.mode().unwrap_or(frame.size());
                 // what the screen shows; without one, what a screen of the picture's size would show
                 let hash = self.sink.scan_out_hash().unwrap_or_else(|| {
-                    display::compose(drawn.canvas, mode, self.display.scale, self.display.filter).hash()
+                    display::compose(canvas, mode, self.display.scale, self.display.filter).hash()
                 });
                 let entry = trace::Entry {
                     sequence: frame.sequence,
@@ -310,6 +326,7 @@ impl Show<'_> {
                     .push(&entry, &RawRef { format: *format, bytes })
                     .context(Failed("cannot write the trace"))?;
             }
+            self.presses.shown(frame.sequence, style, sightings);
             if reported.elapsed() > REPORT_EVERY {
                 drop(captured);
                 log::info!("{}", figures.line(start.elapsed(), reader.replaced()));
@@ -399,6 +416,7 @@ mod tests {
         let mut show = Show {
             pipeline,
             sink: Sink::open(&display, size).expect("a folder"),
+            presses: Presses::new(&Default::default(), &style).expect("no buttons"),
             trace: None,
             slate: Some(Slate::new(size)),
             service: Service::start().expect("nobody listens"),

@@ -34,11 +34,38 @@ pub enum PictureError {
 
 /// Reads a picture as planar RGB; gray is repeated, alpha dropped, 16 bits are rounded to 8.
 pub fn read(path: &Path) -> Result<Rgb, PictureError> {
-    let decoded = open(path)?.into_rgb8();
+    Ok(planar(open(path)?))
+}
+
+/// Decodes a PNG, JPEG or PGM/PPM file in memory as [`read`] does. Refuses sides above `side_px` and more than `area`
+/// pixels before it makes room for them; the error says why.
+pub fn decode(bytes: &[u8], side_px: u32, area: u64) -> Result<Rgb, String> {
+    let reader = |max_alloc| {
+        let cursor = std::io::Cursor::new(bytes);
+        let mut reader = image::ImageReader::new(cursor).with_guessed_format().map_err(|e| e.to_string())?;
+        let mut limits = image::Limits::default();
+        limits.max_alloc = Some(max_alloc);
+        reader.limits(limits);
+        Ok::<_, String>(reader)
+    };
+    let (width, height) = reader(1 << 20)?.into_dimensions().map_err(|e| e.to_string())?;
+    let pixels = u64::from(width) * u64::from(height);
+    if width.max(height) > side_px || pixels > area {
+        return Err(format!("{width}x{height}: at most {side_px} px a side and {area} pixels in all"));
+    }
+    if pixels == 0 {
+        return Err("it has no pixels".into());
+    }
+    // four channels of 16 bits, and as much again for the decoder itself
+    reader(16 * pixels + (1 << 20))?.decode().map(planar).map_err(|e| e.to_string())
+}
+
+fn planar(picture: image::DynamicImage) -> Rgb {
+    let decoded = picture.into_rgb8();
     let size = Size::new(decoded.width() as usize, decoded.height() as usize);
     let bytes = decoded.as_raw();
     let channel = |c: usize| Plane::from_fn(size, |x, y| bytes[(y * size.width + x) * 3 + c]);
-    Ok(Rgb { planes: [channel(0), channel(1), channel(2)] })
+    Rgb { planes: [channel(0), channel(1), channel(2)] }
 }
 
 /// Reads a picture as one gray plane (BT.601 luma for color files).

@@ -10,14 +10,18 @@ use std::path::{Path, PathBuf};
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ModelConfig {
-    /// A built-in model (`teapot`, `spot`) or an OBJ file, relative to the settings file.
+    /// A built-in model (`teapot`, `spot`) or an OBJ, `.glb`, PLY or STL file, relative to the settings file.
     pub file: String,
     /// The marker it stands on.
     pub marker: AnchorConfig,
-    /// Fits the model to the marker: footprint inside the print, lowest point on it. Without, mesh units are
-    /// millimetres and the mesh's origin is the marker's center.
+    /// Fits the model to the marker: footprint inside the print, lowest point on it. Without, the mesh keeps its
+    /// size and its origin is the marker's center.
     #[serde(default = "yes")]
     pub fit: bool,
+    /// What one mesh unit is where the model is not fitted: `mm`, `cm`, `m` or `in`. Left out: `m` for a `.glb` file,
+    /// as the format says, `mm` for all others.
+    #[serde(default)]
+    pub unit: Option<Unit>,
     /// Which mesh axis points out of the print.
     #[serde(default)]
     pub up: Up,
@@ -100,6 +104,31 @@ pub enum Up {
     Y,
     /// Mesh z is up.
     Z,
+}
+
+/// What one unit of a mesh's coordinates is.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Unit {
+    /// A millimetre.
+    Mm,
+    /// A centimetre.
+    Cm,
+    /// A metre.
+    M,
+    /// An inch, 25.4 mm.
+    In,
+}
+
+impl Unit {
+    fn mm(self) -> f64 {
+        match self {
+            Unit::Mm => 1.0,
+            Unit::Cm => 10.0,
+            Unit::M => 1000.0,
+            Unit::In => 25.4,
+        }
+    }
 }
 
 /// Names of [`Shading`].
@@ -241,21 +270,23 @@ impl ModelConfig {
             Some(mesh) => Ok(mesh),
             None => Mesh::load(&folder.join(&self.file)).map_err(|e| {
                 format!(
-                    "{e}; `file` is an OBJ file or one of the built-in models: {}",
+                    "{e}; `file` is an OBJ, .glb, PLY or STL file or one of the built-in models: {}",
                     super::BUILTIN.join(", ")
                 )
             }),
         }
     }
 
-    /// Mesh coordinates → marker space: stand up, fit, scale, turn, shift.
+    /// Mesh coordinates → marker space: stand up, fit or take to mm, scale, turn, shift.
     fn to_marker(&self, mesh: &Mesh) -> DAffine3 {
         let stand = match self.up {
             Up::Z => DMat3::IDENTITY,
             // mesh x right, y up, z to the viewer → marker x right, z up, -y to the viewer
             Up::Y => DMat3::from_cols(DVec3::X, DVec3::Z, DVec3::NEG_Y),
         };
-        let mut fit = DAffine3::from_mat3(stand);
+        let is_glb = Path::new(&self.file).extension().is_some_and(|e| e.eq_ignore_ascii_case("glb"));
+        let unit = self.unit.unwrap_or(if is_glb { Unit::M } else { Unit::Mm });
+        let mut fit = DAffine3::from_mat3(stand * unit.mm());
         if self.fit {
             let (low, high) = mesh.bounds().unwrap_or_default();
             let corners = [low, high].map(|p| stand * p.as_dvec3());
@@ -264,7 +295,8 @@ impl ModelConfig {
             if extent.is_finite() && extent > 0.0 {
                 let base = DVec3::new((low.x + high.x) / 2.0, (low.y + high.y) / 2.0, low.z);
                 let size = self.marker.side_mm / extent;
-                fit = DAffine3::from_scale(DVec3::splat(size)) * DAffine3::from_translation(-base) * fit;
+                let stand = DAffine3::from_mat3(stand);
+                fit = DAffine3::from_scale(DVec3::splat(size)) * DAffine3::from_translation(-base) * stand;
             }
         }
         let [x, y, z] = self.rotate_deg.map(f64::to_radians);
@@ -276,6 +308,27 @@ impl ModelConfig {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn units_count_where_nothing_is_fitted() {
+        let mesh = Mesh { positions: vec![Vec3::Y], ..Mesh::default() };
+        let tip = |text: &str| {
+            let text = format!("marker = {{}}\nfit = false\n{text}");
+            let model: ModelConfig = toml::from_str(&text).expect("a valid model table");
+            model.to_marker(&mesh).transform_point3(DVec3::Y)
+        };
+        assert_eq!(tip("file = \"a.obj\""), DVec3::Z);
+        assert_eq!(tip("file = \"a.stl\"\nup = \"z\"\nunit = \"in\""), DVec3::Y * 25.4);
+        assert_eq!(tip("file = \"a.GLB\""), DVec3::Z * 1000.0);
+        assert_eq!(tip("file = \"a.glb\"\nunit = \"cm\"\nscale = 2"), DVec3::Z * 20.0);
+        let fitted = "file = \"teapot\"\nmarker = {}\nunit = \"m\"";
+        let fitted: ModelConfig = toml::from_str(fitted).expect("a valid model table");
+        let (teapot, plain) = (
+            crate::scene::builtin("teapot").expect("built in"),
+            ModelConfig { unit: None, ..fitted.clone() },
+        );
+        assert_eq!(fitted.to_marker(&teapot), plain.to_marker(&teapot));
+    }
 
     fn build(marker: &str, folder: &Path) -> Result<Scene, String> {
         let model =

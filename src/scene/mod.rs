@@ -7,15 +7,21 @@ mod boards;
 mod builtin;
 mod config;
 mod edges;
+mod glb;
+mod load;
 mod mesh;
+mod mtl;
 mod obj;
+mod ply;
+mod stl;
+mod texture;
 
 pub use boards::{BoardConfig, BoardError, PrintConfig};
 pub use builtin::{BUILTIN, builtin};
 pub use config::{AnchorConfig, LightConfig, ModelConfig, SceneError};
 pub use edges::{Edge, Edges, KeptEdges};
+pub use load::{Limits, ModelError};
 pub use mesh::{Material, Mesh, Wrap};
-pub use obj::{Limits, ModelError};
 
 use crate::marker::{Board, Family, Patterns};
 use glam::{DAffine3, DVec3, Vec3};

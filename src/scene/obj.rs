@@ -1,109 +1,20 @@
 //! Wavefront OBJ with its MTL materials and textures (contracts: `draw`).
 //!
 //! A file is never refused for what its lines say: broken corners drop their face, broken positions drop
-//! their triangles, everything unknown is skipped. It is refused for being unreadable or beyond `Limits`.
-//! Missing material libraries and textures are logged and done without.
+//! their triangles, everything unknown is skipped. It is refused only for being beyond `Limits`.
+//! Missing material libraries and textures are logged and done without. Smoothing groups are not read: contracts
+//! give a corner without a usable `vn` the area-weighted normal of its position, whatever group it is in.
 
+use super::load::Refusal;
 use super::mesh::{Material, Mesh, area_weighted_normals, unit};
-use crate::pixels::{Rgb, picture};
+use super::texture::Textures;
+use super::{Limits, mtl};
 use glam::{Vec2, Vec3};
 use std::collections::HashMap;
-use std::path::{Path, PathBuf};
-use std::sync::Arc;
-
-/// What a model file may ask of the machine.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Limits {
-    /// Size of the OBJ and of each MTL file, bytes.
-    pub bytes: u64,
-    /// Positions, normals, texture coordinates, and unified vertices: each.
-    pub vertices: usize,
-    /// Triangles.
-    pub triangles: usize,
-    /// Materials.
-    pub materials: usize,
-    /// Width and height of a texture, px.
-    pub texture_px: u32,
-}
-
-impl Default for Limits {
-    fn default() -> Self {
-        Self { bytes: 512 << 20, vertices: 8 << 20, triangles: 8 << 20, materials: 4096, texture_px: 8192 }
-    }
-}
-
-/// Why a model could not be loaded.
-#[derive(Debug, thiserror::Error)]
-pub enum ModelError {
-    /// The file cannot be read.
-    #[error("{}: cannot read model: {reason}", path.display())]
-    Read {
-        /// The file.
-        path: PathBuf,
-        /// What the system said.
-        reason: std::io::Error,
-    },
-    /// The file is larger than a limit.
-    #[error("{}: more than {limit} {what}; simplify or split the model", path.display())]
-    TooLarge {
-        /// The file.
-        path: PathBuf,
-        /// What there is too much of.
-        what: &'static str,
-        /// How much is allowed.
-        limit: u64,
-    },
-}
-
-impl Mesh {
-    /// Loads an OBJ file with its materials and textures, within the default [`Limits`].
-    ///
-    /// Vertices are unified by position, texture coordinate and normal, in order of first use. Corners
-    /// without a usable `vn` get the area-weighted normal by position index. A file without triangles gives
-    /// an empty mesh.
-    pub fn load(path: &Path) -> Result<Mesh, ModelError> {
-        Self::load_within(path, &Limits::default())
-    }
-
-    /// [`Mesh::load`] within other limits.
-    pub fn load_within(path: &Path, limits: &Limits) -> Result<Mesh, ModelError> {
-        let bytes = read(path, limits)?;
-        let folder = path.parent().unwrap_or(Path::new(""));
-        let mut library = |name: &str, materials: &mut Vec<Material>| {
-            let path = folder.join(name.replace('\\', "/"));
-            match read(&path, limits) {
-                Ok(bytes) => parse_mtl(&bytes, &path, limits, materials),
-                Err(error) => log::warn!("{error}; drawing without these materials"),
-            }
-        };
-        parse(&bytes, limits, &mut library).map_err(|(what, limit)| ModelError::TooLarge {
-            path: path.into(),
-            what,
-            limit,
-        })
-    }
-
-    /// Reads OBJ text from memory, without materials; `None` beyond the default [`Limits`].
-    pub fn from_obj(bytes: &[u8]) -> Option<Mesh> {
-        parse(bytes, &Limits::default(), &mut |_, _| ()).ok()
-    }
-}
-
-fn read(path: &Path, limits: &Limits) -> Result<Vec<u8>, ModelError> {
-    use std::io::Read;
-    let fail = |reason| ModelError::Read { path: path.into(), reason };
-    let file = std::fs::File::open(path).map_err(fail)?;
-    let mut bytes = Vec::new();
-    file.take(limits.bytes.saturating_add(1)).read_to_end(&mut bytes).map_err(fail)?;
-    if bytes.len() as u64 > limits.bytes {
-        return Err(ModelError::TooLarge { path: path.into(), what: "bytes", limit: limits.bytes });
-    }
-    Ok(bytes)
-}
 
 /// The file's text: UTF-16 with a byte order mark (or the zeros of ASCII in UTF-16) is decoded, a UTF-8 mark
 /// dropped, bytes that are not UTF-8 replaced.
-fn text(bytes: &[u8]) -> String {
+pub(super) fn text(bytes: &[u8]) -> String {
     let wide = |swap: bool, bytes: &[u8]| {
         let units = bytes
             .chunks_exact(2)
@@ -121,7 +32,7 @@ fn text(bytes: &[u8]) -> String {
 }
 
 /// Calls `line` with the statements of a file: comments cut, continued lines joined, ends of all kinds.
-fn statements(text: &str, mut statement: impl FnMut(&str)) {
+pub(super) fn statements(text: &str, mut statement: impl FnMut(&str)) {
     let mut joined = String::new();
     let lines = text.split('\n').flat_map(|line| line.strip_suffix('\r').unwrap_or(line).split('\r'));
     for line in lines {
@@ -156,6 +67,8 @@ struct Corner {
 #[derive(Default)]
 struct Lines {
     positions: Vec<Vec3>,
+    /// As many as positions once there is any; white where a position has none.
+    colors: Vec<Vec3>,
     texcoords: Vec<Vec2>,
     normals: Vec<Vec3>,
     corners: Vec<Corner>,
@@ -165,21 +78,16 @@ struct Lines {
     materials: Vec<Material>,
 }
 
-type TooMuch = (&'static str, u64);
-
-fn parse(
-    bytes: &[u8],
-    limits: &Limits,
-    library: &mut dyn FnMut(&str, &mut Vec<Material>),
-) -> Result<Mesh, TooMuch> {
+/// Reads a file; refuses only what is beyond `limits`.
+pub(super) fn parse(bytes: &[u8], limits: &Limits, textures: &mut Textures) -> Result<Mesh, Refusal> {
     let mut lines = Lines::default();
     let mut libraries = 0;
     let mut wanted = HashMap::new(); // usemtl names and their numbers: libraries may come later
     let mut current = u16::MAX;
     let mut over = None;
-    let check = |count: usize, limit: usize, what: &'static str, over: &mut Option<TooMuch>| {
-        if count > limit {
-            over.get_or_insert((what, limit as u64));
+    let check = |count: usize, limit: usize, what: &'static str, over: &mut Option<Refusal>| {
+        if let Err(refusal) = Refusal::above(count, limit, what) {
+            *over = Some(refusal);
         }
     };
     statements(&text(bytes), |statement| {
@@ -191,8 +99,7 @@ fn parse(
             statement.split_once(char::is_whitespace).map_or((statement, ""), |(k, r)| (k, r.trim()));
         match keyword {
             "v" => {
-                let [x, y, z] = numbers(rest);
-                lines.positions.push(Vec3::new(x, y, z));
+                lines.vertex(rest);
                 check(lines.positions.len(), limits.vertices, "positions", &mut over);
             }
             "vt" => {
@@ -217,19 +124,19 @@ fn parse(
             }
             "mtllib" if libraries < 64 => {
                 libraries += 1;
-                library(rest, &mut lines.materials);
+                mtl::load(rest, limits, textures, &mut lines.materials);
             }
             _ => {}
         }
     });
     match over {
-        Some(too_much) => Err(too_much),
+        Some(refusal) => Err(refusal),
         None => lines.into_mesh(limits, &wanted),
     }
 }
 
 /// The first `N` numbers; what is missing or no number becomes NaN, and so drops what uses it.
-fn numbers<const N: usize>(rest: &str) -> [f32; N] {
+pub(super) fn numbers<const N: usize>(rest: &str) -> [f32; N] {
     let mut out = [f32::NAN; N];
     for (out, word) in out.iter_mut().zip(rest.split_whitespace()) {
         *out = word.parse().unwrap_or(f32::NAN);
@@ -254,6 +161,17 @@ fn index(word: &str, count: usize) -> Result<u64, ()> {
 }
 
 impl Lines {
+    /// Reads `x y z`, `x y z w`, `x y z r g b` or `x y z w r g b`.
+    fn vertex(&mut self, rest: &str) {
+        let [x, y, z, a, b, c, d] = numbers(rest);
+        self.positions.push(Vec3::new(x, y, z));
+        let color = if d.is_nan() { Vec3::new(a, b, c) } else { Vec3::new(b, c, d) };
+        if color.is_finite() {
+            self.colors.resize(self.positions.len() - 1, Vec3::ONE);
+            self.colors.push(color.clamp(Vec3::ZERO, Vec3::ONE));
+        }
+    }
+
     /// Reads a face's corners; a corner that cannot be read drops the face.
     fn face(&mut self, rest: &str, material: u16) {
         let first = self.corners.len();
@@ -282,7 +200,7 @@ impl Lines {
         self.positions.get(at).copied().filter(|p| p.is_finite())
     }
 
-    fn into_mesh(mut self, limits: &Limits, wanted: &HashMap<String, u16>) -> Result<Mesh, TooMuch> {
+    fn into_mesh(mut self, limits: &Limits, wanted: &HashMap<String, u16>) -> Result<Mesh, Refusal> {
         // fans of usable corners, by corner number
         let (mut fans, mut material_of) = (Vec::new(), Vec::new());
         let mut first = 0;
@@ -320,12 +238,15 @@ impl Lines {
                     mesh.positions.push(self.positions[position]);
                     mesh.normals.push(normal.map_or(fallback[position], |(_, n)| n));
                     mesh.texcoords.push(uv.map_or(Vec2::ZERO, |(_, uv)| uv));
+                    if !self.colors.is_empty() {
+                        mesh.colors.push(self.colors.get(position).copied().unwrap_or(Vec3::ONE));
+                    }
                 }
             }
             mesh.triangles.push(triangle);
         }
         if mesh.positions.len() > limits.vertices {
-            return Err(("vertices", limits.vertices as u64));
+            return Err(Refusal::TooMuch("vertices", limits.vertices as u64));
         }
         if !any_texcoord {
             mesh.texcoords.clear();
@@ -369,81 +290,6 @@ impl Unifier {
         self.entries.push((key, next, self.first[position]));
         self.first[position] = self.entries.len() as u32 - 1;
         next
-    }
-}
-
-/// Reads a material library: `newmtl`, `Kd`, `map_Kd`; the first material of a name counts.
-fn parse_mtl(bytes: &[u8], path: &Path, limits: &Limits, materials: &mut Vec<Material>) {
-    let folder = path.parent().unwrap_or(Path::new(""));
-    let first = materials.len();
-    statements(&text(bytes), |statement| {
-        let statement = statement.trim();
-        let (keyword, rest) =
-            statement.split_once(char::is_whitespace).map_or((statement, ""), |(k, r)| (k, r.trim()));
-        let inside = materials.len() > first;
-        match keyword {
-            "newmtl" if materials.len() < limits.materials => {
-                materials.push(Material { name: rest.to_owned(), color: Vec3::ONE, ..Material::default() });
-            }
-            "Kd" if inside => {
-                let [r, g, b] = numbers(rest);
-                // one number stands for all three
-                let color = if g.is_nan() && b.is_nan() { Vec3::splat(r) } else { Vec3::new(r, g, b) };
-                if let (Some(material), true) = (materials.last_mut(), color.is_finite()) {
-                    material.color = color.clamp(Vec3::ZERO, Vec3::ONE);
-                }
-            }
-            "map_Kd" if inside => {
-                let texture = texture(&folder.join(texture_name(rest).replace('\\', "/")), limits);
-                if let Some(material) = materials.last_mut() {
-                    material.texture = texture;
-                }
-            }
-            _ => {}
-        }
-    });
-}
-
-/// The file name after `map_Kd`'s options; names may hold spaces.
-fn texture_name(rest: &str) -> &str {
-    let mut rest = rest;
-    while let Some((option, after)) = rest.split_once(char::is_whitespace) {
-        let values = match option {
-            "-blendu" | "-blendv" | "-cc" | "-clamp" | "-boost" | "-texres" | "-bm" | "-imfchan"
-            | "-type" => 1,
-            "-mm" => 2,
-            "-o" | "-s" | "-t" => 3,
-            _ => break,
-        };
-        rest = after.trim_start();
-        // offsets and scales may give fewer than three numbers
-        for k in 0..values {
-            let Some((word, after)) = rest.split_once(char::is_whitespace) else { break };
-            if k > 0 && word.parse::<f32>().is_err() {
-                break;
-            }
-            rest = after.trim_start();
-        }
-    }
-    rest
-}
-
-/// A texture within limits; logs and gives `None` otherwise.
-fn texture(path: &Path, limits: &Limits) -> Option<Arc<Rgb>> {
-    let fits = match image::image_dimensions(path) {
-        Ok((w, h)) => w.max(h) <= limits.texture_px,
-        Err(_) => true, // read below says what is wrong
-    };
-    if !fits {
-        log::warn!("{}: texture above {} px; drawing without it", path.display(), limits.texture_px);
-        return None;
-    }
-    match picture::read(path) {
-        Ok(texture) => Some(Arc::new(texture)),
-        Err(error) => {
-            log::warn!("{error}; drawing without this texture");
-            None
-        }
     }
 }
 

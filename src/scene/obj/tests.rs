@@ -1,6 +1,8 @@
 //! One small case a rule (contracts: `draw`), and broken files that must not matter.
 
 use super::*;
+use crate::pixels::{Rgb, picture};
+use crate::scene::Wrap;
 
 const SQUARE: &str = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\n";
 
@@ -89,7 +91,16 @@ fn lines_may_end_and_continue_in_every_way() {
     assert_eq!(mesh(&text.replace("3 4\n", "3 4# 5 6\n")), plain);
     assert_eq!(mesh(&format!("# C:\\models\\\n{text}")), plain, "a comment is not continued");
     assert_eq!(mesh(&format!("o x\ng a b\ns 1\np 1\nl 1 2\ncurv 1\n  {text}")), plain);
-    assert_eq!(mesh("v 0 0 0 1\nv 1 0 0 .5 .5 .5\nv 1 1 0 1 1 0 0\nv 0 1 0\nf 1 2 3 4"), plain);
+    assert_eq!(mesh("v 0 0 0 1\nv 1 0 0 1\nv 1 1 0 1\nv 0 1 0\nf 1 2 3 4"), plain);
+}
+
+#[test]
+fn positions_may_carry_colors() {
+    let plain = mesh(&format!("{SQUARE}f 1 2 3 4\n"));
+    let colored = mesh("v 0 0 0 1\nv 1 0 0 .5 .25 2\nv 1 1 0 1 1 0 0\nv 0 1 0 nan 0 0\nf 1 2 3 4");
+    let half = Vec3::new(0.5, 0.25, 1.0);
+    assert_eq!(colored.colors, [Vec3::ONE, half, Vec3::X, Vec3::ONE]);
+    assert_eq!(Mesh { colors: Vec::new(), ..colored }, plain);
 }
 
 #[test]
@@ -163,5 +174,6 @@ fn materials_and_textures_come_along() {
     assert_eq!(mesh.materials[0].color, Vec3::X);
     assert_eq!(mesh.materials[1].color, Vec3::splat(0.5));
     assert_eq!(mesh.materials[1].texture.as_deref(), Some(&texture));
-    assert!(mesh.materials[2].texture.is_none());
+    assert_eq!(mesh.materials[1].wrap, [Wrap::Clamp; 2]);
+    assert!(mesh.materials[2].texture.is_none() && mesh.materials[2].wrap == [Wrap::Repeat; 2]);
 }

@@ -1,0 +1,454 @@
+//! The conversation: handshake, acknowledgements, what is told and when. No port and no clock: bytes and the time are
+//! passed in, bytes and what is asked of the visor come out.
+//!
+//! Closed → greeting (`HI?` on opening and every 500 ms) → up (after `OK`) → closed (3 s without a valid frame, or the
+//! port's end), and opened again after 100 ms, then twice as long each time up to 2 s.
+
+use super::codec::{Dropped, Heard, Line, Outcome, Said, Wire, frame};
+use super::console::{self, Command};
+use super::press::{Kind, Press, Presses, RESTART_MS};
+use super::{Config, Console};
+use std::time::Duration;
+
+/// The protocol spoken.
+const PROTOCOL: u32 = 1;
+const HI_EVERY: Duration = Duration::from_millis(500);
+const SILENCE: Duration = Duration::from_secs(3);
+const BEAT_EVERY: Duration = Duration::from_secs(1);
+const TRACKED_EVERY: Duration = Duration::from_millis(200);
+const REOPEN: [Duration; 2] = [Duration::from_millis(100), Duration::from_secs(2)];
+/// Messages whose repeats are known.
+const REPEATS: usize = 16;
+/// Bytes that may wait for a slow port; what else there is to say is left out.
+const BACKLOG: usize = 4096;
+/// Bit of a chattering button in the fault mask; the visor's own faults have the bits below.
+const NOISE_BIT: u32 = 8;
+/// Markers a status holds: more do not fit a line.
+const MARKERS: usize = 12;
+
+/// What the board, a controller or a technician asks of the visor.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Ask {
+    /// A button, from 1, was pressed.
+    Press(u8, Kind),
+    /// The style with this number in the list that the link was given.
+    Style(usize),
+    /// Standby, or its end.
+    Standby(bool),
+}
+
+/// How the visor is.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Mode {
+    /// All is well.
+    #[default]
+    Run,
+    /// It runs with less than was asked for.
+    Degraded,
+    /// No pictures come.
+    NoCamera,
+    /// No screen.
+    NoDisplay,
+    /// Dark until a press.
+    Standby,
+}
+
+impl Mode {
+    /// As on the wire.
+    pub fn name(self) -> &'static str {
+        match self {
+            Mode::Run => "RUN",
+            Mode::Degraded => "DEGRADED",
+            Mode::NoCamera => "NOCAM",
+            Mode::NoDisplay => "NODISP",
+            Mode::Standby => "STANDBY",
+        }
+    }
+}
+
+/// What is told about the visor.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Status {
+    /// How it is.
+    pub mode: Mode,
+    /// Tenths of frames shown a second.
+    pub fps10: u32,
+    /// Style in front.
+    pub style: &'static str,
+    /// Bits 0-7: a bit a fault.
+    pub faults: u32,
+    /// Markers tracked.
+    pub markers: Markers,
+}
+
+/// Up to twelve markers: id and quality 0-99.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Markers {
+    list: [(u32, u8); MARKERS],
+    count: usize,
+}
+
+impl FromIterator<(u32, u8)> for Markers {
+    /// Those past the twelfth are left out.
+    fn from_iter<I: IntoIterator<Item = (u32, u8)>>(markers: I) -> Self {
+        let mut own = Self::default();
+        for (slot, marker) in own.list.iter_mut().zip(markers) {
+            *slot = marker;
+            own.count += 1;
+        }
+        own
+    }
+}
+
+impl std::ops::Deref for Markers {
+    type Target = [(u32, u8)];
+
+    fn deref(&self) -> &[(u32, u8)] {
+        &self.list[..self.count]
+    }
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum State {
+    /// Opened again at `again`; the pause after that.
+    Closed {
+        again: Duration,
+        pause: Duration,
+    },
+    Greeting {
+        next: Duration,
+        pause: Duration,
+    },
+    Up {
+        heard: Duration,
+    },
+}
+
+/// One end of the line.
+#[derive(Debug)]
+pub struct Link {
+    console: Console,
+    styles: Vec<&'static str>,
+    state: State,
+    wire: Wire,
+    presses: Presses,
+    told: Vec<Press>,
+    seq: u8,
+    repeats: [Option<(u8, u16)>; REPEATS],
+    /// The newest board time and when it was heard.
+    clock: Option<(u32, Duration)>,
+    status: Status,
+    said: Status,
+    beat: Duration,
+    tracked: Duration,
+    watching: bool,
+    /// Muted buttons.
+    noisy: u32,
+    out: Vec<u8>,
+}
+
+impl Link {
+    /// A link that is to be opened at once. `styles`: names that may be asked for.
+    pub fn new(config: &Config, styles: Vec<&'static str>) -> Self {
+        Self {
+            console: config.console,
+            styles,
+            state: State::Closed { again: Duration::ZERO, pause: REOPEN[0] },
+            wire: Wire::default(),
+            presses: Presses::new(&config.wanted()),
+            told: Vec::new(),
+            seq: 0,
+            repeats: [None; REPEATS],
+            clock: None,
+            status: Status::default(),
+            said: Status::default(),
+            beat: Duration::ZERO,
+            tracked: Duration::ZERO,
+            watching: false,
+            noisy: 0,
+            out: Vec::new(),
+        }
+    }
+
+    /// Whether a board answered and is heard from.
+    pub fn is_up(&self) -> bool {
+        matches!(self.state, State::Up { .. })
+    }
+
+    /// Whether the port should be open at `now`.
+    pub fn wants_port(&self, now: Duration) -> bool {
+        !matches!(self.state, State::Closed { again, .. } if now < again)
+    }
+
+    /// What the receiver dropped.
+    pub fn dropped(&self) -> Dropped {
+        self.wire.dropped()
+    }
+
+    /// Bit n-1 for every button n that is held down.
+    pub fn held(&self) -> u32 {
+        self.presses.held()
+    }
+
+    /// What is to be sent.
+    pub fn output(&self) -> &[u8] {
+        &self.out
+    }
+
+    /// The first `count` bytes of the output are on their way.
+    pub fn sent(&mut self, count: usize) {
+        self.out.drain(..count.min(self.out.len()));
+    }
+
+    /// The port is open.
+    pub fn opened(&mut self, now: Duration) {
+        if let State::Closed { pause, .. } = self.state {
+            self.state = State::Greeting { next: now, pause };
+        }
+        self.tick(now, &mut Vec::new());
+    }
+
+    /// The port could not be opened, ended or failed. All buttons are released.
+    pub fn closed(&mut self, now: Duration) {
+        let pause = match self.state {
+            State::Closed { again, .. } if now < again => return,
+            State::Closed { pause, .. } | State::Greeting { pause, .. } => pause,
+            State::Up { .. } => REOPEN[0],
+        };
+        self.state = State::Closed { again: now + pause, pause: (pause * 2).min(REOPEN[1]) };
+        self.presses.release(&mut self.told);
+        self.wire.reset();
+        self.out.clear();
+        (self.clock, self.watching, self.noisy) = (None, false, 0);
+        self.repeats = [None; REPEATS];
+    }
+
+    /// How the visor is now: told to the board when it is due.
+    pub fn set_status(&mut self, status: Status) {
+        self.status = status;
+    }
+
+    /// What a press did, and the number of the frame in which it shows.
+    pub fn act(&mut self, button: u8, action: &str, outcome: Outcome, frame: u64) {
+        if self.is_up() {
+            self.say(&Said::Act { button, action, outcome, frame });
+        }
+    }
+
+    /// Takes bytes from the port.
+    pub fn receive(&mut self, bytes: &[u8], now: Duration, asks: &mut Vec<Ask>) {
+        for &byte in bytes {
+            match self.wire.push(byte) {
+                Some(Line::Text(text)) if self.console != Console::Off => self.typed(&text, now, asks),
+                Some(Line::Message { seq, crc, heard }) => self.message(seq, crc, heard, now, asks),
+                _ => {}
+            }
+        }
+        self.flush(asks);
+    }
+
+    /// Does what is due at `now`. To be called every few milliseconds.
+    pub fn tick(&mut self, now: Duration, asks: &mut Vec<Ask>) {
+        match self.state {
+            State::Greeting { next, pause } if now >= next => {
+                self.state = State::Greeting { next: now + HI_EVERY, pause };
+                self.say(&Said::Hi(PROTOCOL, PROTOCOL));
+            }
+            State::Up { heard } if now >= heard + SILENCE => self.closed(now),
+            State::Up { .. } => self.tell(now),
+            _ => {}
+        }
+        if let Some((board, heard)) = self.clock {
+            let since = now.saturating_sub(heard).as_millis() as u32;
+            self.presses.tick(board.wrapping_add(since), &mut self.told);
+        }
+        self.flush(asks);
+        if self.watching && now >= self.beat + BEAT_EVERY {
+            self.beat = now;
+            self.comment_status(now);
+        }
+    }
+
+    /// Status lines that are due.
+    fn tell(&mut self, now: Duration) {
+        let up_ms = now.as_millis() as u64;
+        let status = Status { faults: self.status.faults & 0xff, ..self.status };
+        let faults = status.faults | if self.noisy == 0 { 0 } else { 1 << NOISE_BIT };
+        for code in 0..32 {
+            let (is, was) = (faults >> code & 1 == 1, self.said.faults >> code & 1 == 1);
+            if is != was {
+                self.say(&Said::Fault(is, code, up_ms));
+            }
+        }
+        self.said.faults = faults;
+        if status.style != self.said.style {
+            self.said.style = status.style;
+            self.say(&Said::Style(status.style));
+        }
+        if status.markers != self.said.markers && now >= self.tracked + TRACKED_EVERY {
+            self.tracked = now;
+            self.said.markers = status.markers;
+            self.say(&Said::Tracked(status.markers.len(), &status.markers));
+        }
+        if now >= self.beat + BEAT_EVERY {
+            self.beat = now;
+            let Status { mode, fps10, style, .. } = status;
+            let (mode, tracked) = (mode.name(), status.markers.len());
+            self.say(&Said::Beat { up_s: now.as_secs(), mode, fps10, tracked, style, faults });
+            if self.watching {
+                self.comment_status(now);
+            }
+        }
+    }
+
+    fn say(&mut self, message: &Said) {
+        let line = frame(self.seq, message);
+        if self.out.len() + line.len() <= BACKLOG {
+            self.out.extend(line.bytes());
+            self.seq = self.seq.wrapping_add(1);
+        }
+    }
+
+    fn comment(&mut self, text: &str) {
+        if self.out.len() + text.len() + 3 <= BACKLOG {
+            self.out.extend(format!("# {text}\n").bytes());
+        }
+    }
+
+    fn comment_status(&mut self, now: Duration) {
+        let link = if self.is_up() { "up" } else { "silent" };
+        self.comment(&console::status(&self.status, now.as_secs(), link));
+    }
+
+    fn message(&mut self, seq: u8, crc: u16, heard: Option<Heard>, now: Duration, asks: &mut Vec<Ask>) {
+        if let State::Up { heard } = &mut self.state {
+            *heard = now;
+        }
+        let Some(heard) = heard else { return };
+        if let Heard::Hello { proto, .. } = heard {
+            return self.greeted(proto, now);
+        }
+        if !self.is_up() {
+            return; // the board resends, and its state heals what it does not
+        }
+        let again = self.repeats.contains(&Some((seq, crc)));
+        if !again {
+            self.repeats.rotate_right(1);
+            self.repeats[0] = Some((seq, crc));
+        }
+        match heard {
+            Heard::Button { number, down, at } => {
+                self.say(&Said::Ack(seq));
+                if !again {
+                    self.hear(at, now);
+                    self.presses.edge(number, down, at, &mut self.told);
+                }
+            }
+            Heard::Encoder { at, .. } => {
+                self.say(&Said::Ack(seq));
+                self.hear(at, now);
+            }
+            Heard::State { mask, at } => {
+                self.hear(at, now);
+                self.presses.state(mask, at, &mut self.told);
+            }
+            Heard::Battery { at, .. } => self.hear(at, now),
+            Heard::Error { code, text } => log::warn!("buttons: the board reports {code} {text}"),
+            Heard::SetStyle(name) => match self.styles.iter().position(|known| *known == name) {
+                Some(style) => self.accept(seq, again, Ask::Style(style), asks),
+                None => self.say(&Said::Nak(seq, "unknown-style")),
+            },
+            Heard::Standby(on) => self.accept(seq, again, Ask::Standby(on), asks),
+            Heard::SetScene(_) | Heard::Shot => self.say(&Said::Nak(seq, "off")),
+            Heard::Ping => self.say(&Said::Ack(seq)),
+            Heard::Hello { .. } => {}
+        }
+    }
+
+    fn accept(&mut self, seq: u8, again: bool, ask: Ask, asks: &mut Vec<Ask>) {
+        self.say(&Said::Ack(seq));
+        if !again {
+            asks.push(ask);
+        }
+    }
+
+    /// A board says who it is: at its start, or when asked.
+    fn greeted(&mut self, proto: u32, now: Duration) {
+        if proto != PROTOCOL {
+            self.say(&Said::No(PROTOCOL, PROTOCOL));
+            log::warn!(
+                "buttons: the board speaks protocol {proto}, this visor {PROTOCOL}: update its program"
+            );
+            return;
+        }
+        self.say(&Said::Ok(PROTOCOL, env!("CARGO_PKG_VERSION")));
+        if !self.is_up() {
+            // all is news to a board
+            self.said = Status::default();
+            (self.beat, self.tracked) = (Duration::ZERO, Duration::ZERO);
+        }
+        // one that was up has begun anew: its clock too
+        self.presses.release(&mut self.told);
+        (self.clock, self.repeats, self.noisy) = (None, [None; REPEATS], 0);
+        self.state = State::Up { heard: now };
+    }
+
+    /// The board's clock says `at` now, unless that is an old message.
+    fn hear(&mut self, at: u32, now: Duration) {
+        let newer = |(board, _)| !(-RESTART_MS..=0).contains(&(at.wrapping_sub(board) as i32));
+        if self.clock.is_none_or(newer) {
+            self.clock = Some((at, now));
+        }
+    }
+
+    /// Turns what the buttons told into what is asked.
+    fn flush(&mut self, asks: &mut Vec<Ask>) {
+        for k in 0..self.told.len() {
+            match self.told[k] {
+                Press::Done(button, kind) => {
+                    asks.push(Ask::Press(button, kind));
+                    if self.watching {
+                        self.comment(&format!("button {button}: {kind:?}").to_lowercase());
+                    }
+                }
+                Press::Muted(button, muted) => {
+                    let bit = 1_u32.checked_shl(u32::from(button).wrapping_sub(1)).unwrap_or(0);
+                    self.noisy = if muted { self.noisy | bit } else { self.noisy & !bit };
+                    if muted {
+                        log::warn!(
+                            "buttons: button {button} chatters: not listened to for 5 s; check its wiring"
+                        );
+                    }
+                }
+            }
+        }
+        self.told.clear();
+    }
+
+    fn typed(&mut self, text: &str, now: Duration, asks: &mut Vec<Ask>) {
+        match Command::parse(text, self.console) {
+            Ok(Command::Help) => console::HELP.iter().for_each(|line| self.comment(line)),
+            Ok(Command::Status) => self.comment_status(now),
+            Ok(Command::Watch) => {
+                self.watching = !self.watching;
+                self.comment(if self.watching { "watching" } else { "no longer watching" });
+            }
+            Ok(Command::Press(button)) => {
+                self.comment("pressed");
+                asks.push(Ask::Press(button, Kind::Short));
+            }
+            Ok(Command::Style(name)) => match self.styles.iter().position(|known| *known == name) {
+                Some(style) => {
+                    self.comment("done");
+                    asks.push(Ask::Style(style));
+                }
+                None => {
+                    let known = self.styles.join(" ");
+                    self.comment("no such style; there are:");
+                    known.as_bytes().chunks(80).for_each(|part| self.comment(&String::from_utf8_lossy(part)));
+                }
+            },
+            Err(reason) => self.comment(reason),
+        }
+    }
+}

@@ -1,0 +1,201 @@
+//! `vernissage run` with a board on its serial port: a simulator of its own, written from the protocol's text
+//! (`tests/board_simulator.py`), on a pseudo terminal. Left out, with a word, where there is no python3.
+
+use std::io::{BufRead, BufReader, Write};
+use std::path::{Path, PathBuf};
+use std::process::{Child, ChildStdin, Command, Stdio};
+use std::sync::mpsc::{Receiver, channel};
+use std::time::{Duration, Instant};
+
+/// How long anything may take on a busy machine.
+const PATIENCE: Duration = Duration::from_secs(20);
+
+/// The simulator, and what it reports.
+struct Board {
+    child: Child,
+    commands: ChildStdin,
+    reports: Receiver<String>,
+}
+
+impl Board {
+    fn start(link: &Path) -> Option<Board> {
+        let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/board_simulator.py");
+        let mut child = Command::new("python3")
+            .arg(script)
+            .arg(link)
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .spawn()
+            .ok()?;
+        let (commands, output) = (child.stdin.take()?, child.stdout.take()?);
+        let (send, reports) = channel();
+        std::thread::spawn(move || {
+            BufReader::new(output).lines().map_while(Result::ok).try_for_each(|line| send.send(line))
+        });
+        let board = Board { child, commands, reports };
+        board.until("ready", |line| line.contains("ready"));
+        Some(board)
+    }
+
+    fn order(&mut self, command: &str) {
+        writeln!(self.commands, "{command}").expect("the simulator listens");
+    }
+
+    /// The first report that is wanted, and all before it.
+    fn until(&self, what: &str, wanted: impl Fn(&str) -> bool) -> Vec<String> {
+        let (start, mut seen) = (Instant::now(), Vec::new());
+        while let Some(left) = PATIENCE.checked_sub(start.elapsed()) {
+            let Ok(line) = self.reports.recv_timeout(left) else { break };
+            let found = wanted(&line);
+            seen.push(line);
+            if found {
+                return seen;
+            }
+        }
+        panic!("no {what} in {seen:#?}");
+    }
+
+    /// The time and the words of the first message with these words in it, whatever its number.
+    fn hears(&self, words: &str) -> (u64, Vec<String>) {
+        let seen = self.until(words, |line| line.contains(" rx ") && line.contains(words));
+        assert!(!seen.iter().any(|line| line.contains(" bad ")), "{seen:#?}");
+        let line = seen.last().expect("what was found");
+        let mut words = line.split(' ').map(str::to_owned);
+        let at = words.next().and_then(|time| time.parse().ok()).expect("a time");
+        (at, words.skip(2).collect())
+    }
+
+    /// All reports until nothing came for so long.
+    fn rest(&self, quiet: Duration) -> Vec<String> {
+        std::iter::from_fn(|| self.reports.recv_timeout(quiet).ok()).take(500).collect()
+    }
+}
+
+impl Drop for Board {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+/// The visor, ended with the test.
+struct Visor(Child);
+
+impl Drop for Visor {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+fn folder() -> PathBuf {
+    let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("board-{}", std::process::id()));
+    std::fs::create_dir_all(&path).expect("a test folder");
+    path
+}
+
+#[test]
+fn a_board_drives_the_visor() {
+    let folder = folder();
+    let link = folder.join("tty");
+    let _ = std::fs::remove_file(&link);
+    let Some(mut board) = Board::start(&link) else {
+        eprintln!("no python3: the visor is not driven by a board");
+        return;
+    };
+    let config = folder.join("visor.toml");
+    let text = format!(
+        "[camera]\nsource = \"synthetic\"\nwidth = 160\nheight = 120\n[display]\nsink = \"null\"\n[style]\nname = \"plain\"\n\
+         cycle = [\"plain\", \"cartoon\"]\nfade_ms = 0\n[serial]\nport = {link:?}\n[[serial.button]]\nnumber = 1\n\
+         short = \"style-next\"\n[[serial.button]]\nnumber = 2\nshort = \"freeze\"\nlong = \"standby\"\n"
+    );
+    std::fs::write(&config, text).expect("a test file");
+    let visor = Command::new(env!("CARGO_BIN_EXE_vernissage"))
+        .args(["run", "--config"])
+        .arg(&config)
+        .stdout(Stdio::null())
+        .spawn()
+        .expect("the built binary runs");
+    let _visor = Visor(visor);
+
+    // handshake, then the news
+    board.hears("HI? 1 1");
+    board.hears(&format!("OK 1 {}", env!("CARGO_PKG_VERSION")));
+    board.hears("STYLE plain");
+    board.hears(" RUN ");
+
+    // a press shows in a frame
+    let mut frames = Vec::new();
+    let mut took = Vec::new();
+    for style in ["cartoon", "plain", "cartoon"] {
+        board.order("down 1");
+        let sent = board.until("BTN", |line| line.contains(" tx ") && line.contains("BTN 1 D"));
+        let sent: u64 = sent.last().and_then(|line| line.split(' ').next()?.parse().ok()).expect("a time");
+        board.hears(" ACK ");
+        let (shown, words) = board.hears("ACT 1 style-next ok ");
+        frames.push(words.last().and_then(|frame| frame.parse::<u64>().ok()).expect("a frame's number"));
+        took.push(shown - sent);
+        board.hears(&format!("STYLE {style}"));
+        board.order("up 1");
+        board.hears(" ACK ");
+    }
+    assert!(frames.windows(2).all(|pair| pair[0] < pair[1]), "{frames:?}");
+    eprintln!("press to shown: {took:?} ms at 30 frames a second");
+
+    // the visor is not heard: the board sends again, and it counts once
+    board.order("deaf 120");
+    board.order("down 1");
+    board.hears("STYLE plain");
+    board.order("up 1");
+    let seen = board.rest(Duration::from_millis(900));
+    let acts = seen.iter().filter(|line| line.contains("ACT 1")).count();
+    assert!(acts <= 1 && seen.iter().filter(|line| line.contains("ACK")).count() >= 2, "{seen:#?}");
+
+    // the board is not heard at all until after the press: its state tells
+    board.order("mute 700");
+    board.order("down 1");
+    board.hears("ACT 1 style-next ok ");
+    board.order("up 1");
+    board.hears("STYLE cartoon");
+
+    // noise is no press
+    board.order("raw 00ff2430312042544e2031204420310aff2a");
+    board.order("raw 2430312042544e203120442039393939392a303030300a");
+    let seen = board.rest(Duration::from_millis(400));
+    assert!(!seen.iter().any(|line| line.contains(" ACT ") || line.contains(" ACK ")), "{seen:#?}");
+
+    // the console looks, and no more
+    board.order("type status");
+    board.until("status", |line| line.contains("text # RUN cartoon"));
+    board.order("type style plain");
+    board.until("refusal", |line| line.contains("only with console"));
+
+    // held: standby; the next press brings it back
+    board.order("down 2");
+    board.hears("ACT 2 standby ok ");
+    board.order("up 2");
+    board.hears(" STANDBY ");
+    board.order("down 1");
+    board.hears("ACT 1 style-next ign ");
+    board.order("up 1");
+    board.hears(" RUN ");
+
+    // unplugged while pressed, and plugged in again while still pressed: no press
+    board.order("down 2");
+    board.hears(" ACK ");
+    board.order("unplug");
+    std::thread::sleep(Duration::from_millis(300));
+    board.order("plug");
+    board.hears("OK 1 ");
+    board.hears(" RUN ");
+    board.order("up 2");
+    let seen = board.rest(Duration::from_millis(500));
+    // what was begun when it left is told as a short press, once
+    assert!(seen.iter().filter(|line| line.contains(" ACT ")).count() <= 1, "{seen:#?}");
+
+    // the board starts again
+    board.order("reboot");
+    board.hears("OK 1 ");
+    board.order("down 1");
+    board.hears("ACT 1 style-next ok ");
+}
