@@ -1,7 +1,7 @@
 //! Boards of several prints: one pose, better than any print's own; covered prints are where they are.
 
 use glam::{DMat3, DVec2, DVec3};
-use vernissage::app::bench::markers::{Background, Blur, Light, Setup, expose, pose_at};
+use vernissage::app::bench::markers::{Blur, SIDE_MM, Setup, pose_at};
 use vernissage::frame::{Sighting, State};
 use vernissage::geometry::{Lens, Pose};
 use vernissage::marker::{Board, Family, Print};
@@ -10,8 +10,6 @@ use vernissage::track::{Config, Tracker, Wanted};
 
 const SIZE: Size = Size { width: 640, height: 480 };
 const FAMILY: Family = Family::Tag36h11;
-/// The generator's prints are this wide, mm.
-const SIDE_MM: f64 = 100.0;
 
 /// Four prints on a sheet.
 fn sheet() -> Board {
@@ -45,18 +43,10 @@ fn corner() -> Board {
 /// What is reported of the prints in `drawn`, without a board and with `known`; they stand as `board` says.
 fn look(board: &Board, known: &Board, pose: &Pose, drawn: &[u32], seed: u64) -> [Vec<Sighting>; 2] {
     let prints = board.prints.iter().filter(|print| drawn.contains(&print.id));
-    let setup = Setup {
-        lens: Lens::guess(SIZE),
-        family: FAMILY,
-        prints: prints.map(|print| (print.id, pose.after(&print.to_board))).collect(),
-        inks: [30.0, 210.0],
-        background: Background::Texture,
-        light: Light::EVEN,
-        blur: Blur::Gaussian(0.7),
-        sigma: 6.0,
-        seed,
-    };
-    let picture = expose(&setup.clean(), SIZE, setup.sigma, &mut SplitMix64::new(seed));
+    let prints = prints.map(|print| (print.id, pose.after(&print.to_board))).collect();
+    let calm = Setup::calm(&Lens::guess(SIZE), FAMILY, prints, seed);
+    let setup = Setup { blur: Blur::Gaussian(0.7), sigma: 6.0, ..calm };
+    let picture = setup.shoot();
     let wanted = [Wanted { family: FAMILY, id: None, side_mm: SIDE_MM }];
     [Vec::new(), vec![known.clone()]].map(|boards| {
         let mut tracker = Tracker::new(Config::default(), simd::best()).with_boards(boards);

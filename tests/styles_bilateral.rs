@@ -4,27 +4,17 @@
 //! The 160x120 frames and their stages are in `tests/data/filters`. The full set of frames is checked when
 //! `VERNISSAGE_REFERENCE` names the folder that holds `filters/inputs` and `filters/outputs`.
 
-use std::path::{Path, PathBuf};
+mod common;
+
+use common::{FRAMES, data, frame, frame_of};
+use std::path::Path;
 use std::process::Command;
 use vernissage::frame::Frame;
 use vernissage::pixels::{Plane, Rgb, Size, picture, simd};
 use vernissage::style::bilateral::{BilateralCartoon, Config, SketchLike};
 use vernissage::style::{self, StyleInput, StyleName, Styler};
 
-const FRAMES: [&str; 2] = ["micro_coffee_160x120", "micro_stress_160x120"];
 const STYLES: [StyleName; 2] = [StyleName::BilateralCartoon, StyleName::SketchLike];
-
-fn data(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/filters").join(name)
-}
-
-fn frame_of(picture: Rgb) -> Frame {
-    Frame { luma: Plane::new(picture.size(), 0), color: picture, ..Frame::default() }
-}
-
-fn frame(name: &str) -> Frame {
-    frame_of(picture::read(&data(&format!("{name}.png"))).expect("test picture"))
-}
 
 /// Part of the photograph, mirrored where it ends.
 fn part(size: Size) -> Frame {

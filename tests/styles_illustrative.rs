@@ -3,50 +3,13 @@
 //! The 160x120 frames and their stages are in `tests/data/filters`. The full set of frames is checked when
 //! `VERNISSAGE_REFERENCE` names the folder that holds `filters/inputs` and `filters/outputs`.
 
-use std::path::{Path, PathBuf};
-use vernissage::frame::Frame;
-use vernissage::pixels::{Plane, Rgb, Size, picture, simd};
+mod common;
+
+use common::{FRAMES, data, frame, frame_of, stage, worst};
+use std::path::Path;
+use vernissage::pixels::{Rgb, Size, picture, simd};
 use vernissage::style::illustrative::{Config, Illustrative, halftone};
 use vernissage::style::{self, Style, StyleInput, StyleName, Styler};
-
-const FRAMES: [&str; 2] = ["micro_coffee_160x120", "micro_stress_160x120"];
-
-fn data(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/filters").join(name)
-}
-
-fn frame_of(picture: Rgb) -> Frame {
-    Frame { luma: Plane::new(picture.size(), 0), color: picture, ..Frame::default() }
-}
-
-fn frame(name: &str) -> Frame {
-    frame_of(picture::read(&data(&format!("{name}.png"))).expect("test picture"))
-}
-
-/// One array of a reference file as f64, rows first.
-fn stage(path: &Path, name: &str) -> Vec<f64> {
-    let mut archive = npyz::npz::NpzArchive::open(path).expect("reference stages");
-    let array = archive.by_name(name).expect("readable").expect("a stage of this name");
-    match array.try_data::<f64>() {
-        Ok(values) => values.map(|v| v.expect("f64")).collect(),
-        Err(array) => match array.try_data::<f32>() {
-            Ok(values) => values.map(|v| f64::from(v.expect("f32"))).collect(),
-            Err(array) => match array.try_data::<i32>() {
-                Ok(values) => values.map(|v| f64::from(v.expect("i32"))).collect(),
-                Err(array) => {
-                    let values = array.into_vec::<bool>().expect("bool values");
-                    values.into_iter().map(|v| f64::from(u8::from(v))).collect()
-                }
-            },
-        },
-    }
-}
-
-fn worst(found: &Plane<f32>, truth: &[f64]) -> f64 {
-    let found: Vec<f64> = found.rows().flatten().map(|&v| f64::from(v)).collect();
-    assert_eq!(found.len(), truth.len(), "shape");
-    found.iter().zip(truth).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
-}
 
 /// Pixels whose color is another than the reference's, `ambiguous` ones left out.
 fn flips(found: &Rgb, truth: &Rgb, ambiguous: impl Fn(usize, usize) -> bool) -> usize {
@@ -75,7 +38,7 @@ fn every_stage_keeps_its_bound() {
             ("intensity", &stages.intensity, "I"),
             ("halftone", &stages.halftone, "tau"),
         ] {
-            let error = 255.0 * worst(plane, &stage(&path, truth));
+            let error = 255.0 * worst(plane.rows().flatten().copied(), &stage(&path, truth));
             println!("{name}: {label}: {error:.6} levels (bound .25)");
             assert!(error <= 0.25, "{name}: {label} is off by {error} levels");
         }

@@ -4,6 +4,9 @@
 //! The 160x120 frames and their stages are in `tests/data/filters`. The full set of frames is checked when
 //! `VERNISSAGE_REFERENCE` names the folder that holds `filters/inputs` and `filters/outputs`.
 
+mod common;
+
+use common::{FRAMES, data, frame, frame_of, stage, text};
 use glam::{DAffine3, DMat3, DVec3, Vec2, Vec3};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -15,46 +18,6 @@ use vernissage::render::{Camera, Placed, Renderer, Scatter};
 use vernissage::scene::{Anchor, Light, Material, Mesh, Model, Scene, Shading, builtin};
 use vernissage::style::pointillism::{Pointillism, reference_with_models};
 use vernissage::style::{self, StyleInput, StyleName, Styler};
-
-const FRAMES: [&str; 2] = ["micro_coffee_160x120", "micro_stress_160x120"];
-
-fn data(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/filters").join(name)
-}
-
-fn text(path: &Path) -> &str {
-    path.to_str().expect("plain path")
-}
-
-fn frame_of(picture: Rgb) -> Frame {
-    Frame { luma: Plane::new(picture.size(), 0), color: picture, ..Frame::default() }
-}
-
-fn frame(name: &str) -> Frame {
-    frame_of(picture::read(&data(&format!("{name}.png"))).expect("test picture"))
-}
-
-/// One array of a reference file as f64, rows first.
-fn stage(path: &Path, name: &str) -> Vec<f64> {
-    let mut archive = npyz::npz::NpzArchive::open(path).expect("reference stages");
-    let array = archive.by_name(name).expect("readable").expect("a stage of this name");
-    match array.try_data::<f64>() {
-        Ok(values) => values.map(|v| v.expect("f64")).collect(),
-        Err(array) => match array.try_data::<f32>() {
-            Ok(values) => values.map(|v| f64::from(v.expect("f32"))).collect(),
-            Err(array) => match array.try_data::<i64>() {
-                Ok(values) => values.map(|v| v.expect("i64") as f64).collect(),
-                Err(array) => match array.try_data::<i32>() {
-                    Ok(values) => values.map(|v| f64::from(v.expect("i32"))).collect(),
-                    Err(array) => {
-                        let values = array.into_vec::<i16>().expect("i16 values");
-                        values.into_iter().map(f64::from).collect()
-                    }
-                },
-            },
-        },
-    }
-}
 
 /// The style with the brush that the reference pictures were drawn with.
 fn config() -> style::Config {

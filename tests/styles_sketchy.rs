@@ -3,54 +3,14 @@
 //! The 160x120 frames and their stages are in `tests/data/filters`. The full set of frames is checked when
 //! `VERNISSAGE_REFERENCE` names the folder that holds `filters/inputs` and `filters/outputs`.
 
-use std::path::{Path, PathBuf};
+mod common;
+
+use common::{FRAMES, data, frame, frame_of, stage, text, worst};
+use std::path::Path;
 use vernissage::frame::{Frame, Layer};
 use vernissage::pixels::{Plane, Rgb, Size, TileGrid, TileSet, picture, simd};
 use vernissage::style::sketchy::{Sketchy, Stages, reference_over};
 use vernissage::style::{self, StyleInput, StyleName, Styler};
-
-const FRAMES: [&str; 2] = ["micro_coffee_160x120", "micro_stress_160x120"];
-
-fn data(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/filters").join(name)
-}
-
-fn frame_of(picture: Rgb) -> Frame {
-    Frame { luma: Plane::new(picture.size(), 0), color: picture, ..Frame::default() }
-}
-
-fn frame(name: &str) -> Frame {
-    frame_of(picture::read(&data(&format!("{name}.png"))).expect("test picture"))
-}
-
-fn text(path: &Path) -> &str {
-    path.to_str().expect("plain path")
-}
-
-/// One array of a reference file as f64, rows first.
-fn stage(path: &Path, name: &str) -> Vec<f64> {
-    let mut archive = npyz::npz::NpzArchive::open(path).expect("reference stages");
-    let array = archive.by_name(name).expect("readable").expect("a stage of this name");
-    match array.try_data::<f64>() {
-        Ok(values) => values.map(|v| v.expect("f64")).collect(),
-        Err(array) => match array.try_data::<f32>() {
-            Ok(values) => values.map(|v| f64::from(v.expect("f32"))).collect(),
-            Err(array) => match array.try_data::<i64>() {
-                Ok(values) => values.map(|v| v.expect("i64") as f64).collect(),
-                Err(array) => {
-                    let values = array.into_vec::<bool>().expect("bool values");
-                    values.into_iter().map(|v| f64::from(u8::from(v))).collect()
-                }
-            },
-        },
-    }
-}
-
-fn worst(found: impl Iterator<Item = f32>, truth: &[f64]) -> f64 {
-    let found: Vec<f64> = found.map(f64::from).collect();
-    assert_eq!(found.len(), truth.len(), "shape");
-    found.iter().zip(truth).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
-}
 
 /// The style with these settings.
 fn config(settings: &[(&str, &str)]) -> style::Config {

@@ -3,50 +3,14 @@
 //! The 160x120 frames and their stages are in `tests/data/filters`. The full set of frames is checked when
 //! `VERNISSAGE_REFERENCE` names the folder that holds `filters/inputs` and `filters/outputs`.
 
-use std::path::{Path, PathBuf};
+mod common;
+
+use common::{FRAMES, data, frame, frame_of, stage, worst};
+use std::path::Path;
 use vernissage::frame::Frame;
-use vernissage::pixels::{Plane, Rgb, Size, picture, simd};
+use vernissage::pixels::{Rgb, Size, picture, simd};
 use vernissage::style::watercolor::{Stages, Watercolor};
 use vernissage::style::{self, Style, StyleInput, StyleName, Styler};
-
-const FRAMES: [&str; 2] = ["micro_coffee_160x120", "micro_stress_160x120"];
-
-fn data(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/filters").join(name)
-}
-
-fn frame_of(picture: Rgb) -> Frame {
-    Frame { luma: Plane::new(picture.size(), 0), color: picture, ..Frame::default() }
-}
-
-fn frame(name: &str) -> Frame {
-    frame_of(picture::read(&data(&format!("{name}.png"))).expect("test picture"))
-}
-
-/// One array of a reference file as f64, rows first.
-fn stage(path: &Path, name: &str) -> Vec<f64> {
-    let mut archive = npyz::npz::NpzArchive::open(path).expect("reference stages");
-    let array = archive.by_name(name).expect("readable").expect("a stage of this name");
-    match array.try_data::<f64>() {
-        Ok(values) => values.map(|v| v.expect("f64")).collect(),
-        Err(array) => match array.try_data::<f32>() {
-            Ok(values) => values.map(|v| f64::from(v.expect("f32"))).collect(),
-            Err(array) => match array.try_data::<i32>() {
-                Ok(values) => values.map(|v| f64::from(v.expect("i32"))).collect(),
-                Err(array) => {
-                    let values = array.into_vec::<bool>().expect("bool values");
-                    values.into_iter().map(|v| f64::from(u8::from(v))).collect()
-                }
-            },
-        },
-    }
-}
-
-fn worst(found: &Plane<f32>, truth: &[f64]) -> f64 {
-    let found: Vec<f64> = found.rows().flatten().map(|&v| f64::from(v)).collect();
-    assert_eq!(found.len(), truth.len(), "shape");
-    found.iter().zip(truth).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
-}
 
 fn config() -> style::Config {
     style::Config { name: StyleName::Watercolor, ..Default::default() }
@@ -65,10 +29,18 @@ fn every_stage_keeps_its_bound() {
         let frame = frame(name);
         let mut style = Watercolor::new(config().watercolor, simd::best());
         let (first, out) = stages(&mut style, &frame);
-        assert_eq!(worst(&first.labels, &stage(&path, "lab")), 0.0, "{name}: labels");
-        assert_eq!(worst(&first.edge, &stage(&path, "edge")), 0.0, "{name}: edges");
-        assert_eq!(worst(&first.sites, &stage(&path, "s1")), 0.0, "{name}: re-tiled sites");
-        let means = 255.0 * worst(&first.means, &stage(&path, "mean"));
+        assert_eq!(
+            worst(first.labels.rows().flatten().copied(), &stage(&path, "lab")),
+            0.0,
+            "{name}: labels"
+        );
+        assert_eq!(worst(first.edge.rows().flatten().copied(), &stage(&path, "edge")), 0.0, "{name}: edges");
+        assert_eq!(
+            worst(first.sites.rows().flatten().copied(), &stage(&path, "s1")),
+            0.0,
+            "{name}: re-tiled sites"
+        );
+        let means = 255.0 * worst(first.means.rows().flatten().copied(), &stage(&path, "mean"));
         println!("{name}: labels, edges, sites: 0 mismatches; means: {means:.6} levels (bound 1)");
         assert!(means <= 1e-4, "{name}: means are off by {means} levels");
         let size = frame.color.size();
@@ -80,7 +52,11 @@ fn every_stage_keeps_its_bound() {
         }
         compare(&format!("{name}, first frame"), &out, &bytes(size, &stage(&path, "out0")));
         let (second, out) = stages(&mut style, &frame);
-        assert_eq!(worst(&second.labels, &stage(&path, "lab1")), 0.0, "{name}: labels after re-tiling");
+        assert_eq!(
+            worst(second.labels.rows().flatten().copied(), &stage(&path, "lab1")),
+            0.0,
+            "{name}: labels after re-tiling"
+        );
         let truth = picture::read(&data(&format!("{name}__watercolor.png"))).expect("reference picture");
         compare(name, &out, &truth);
         style.restart();
@@ -126,7 +102,11 @@ fn the_full_reference_set_keeps_its_bounds() {
         let (first, _) = stages(&mut style, &frame);
         let sites = filters.join("outputs").join(format!("{name}__watercolor_sites.npz"));
         if sites.exists() {
-            assert_eq!(worst(&first.sites, &stage(&sites, "s1")), 0.0, "{name}: re-tiled sites");
+            assert_eq!(
+                worst(first.sites.rows().flatten().copied(), &stage(&sites, "s1")),
+                0.0,
+                "{name}: re-tiled sites"
+            );
         }
         let (_, out) = stages(&mut style, &frame);
         let truth = filters.join("outputs").join(format!("{name}__watercolor.png"));

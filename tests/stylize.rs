@@ -3,26 +3,15 @@
 //! The 160x120 frames and their stages are in `tests/data/filters`. The full set of frames is checked when
 //! `VERNISSAGE_REFERENCE` names the folder that holds `filters/inputs` and `filters/outputs`.
 
+mod common;
+
+use common::{FRAMES, data, frame, frame_of, text};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 use vernissage::frame::Frame;
 use vernissage::pixels::{Plane, Rgb, Size, SplitMix64, picture, simd};
 use vernissage::style::cartoon::{Cartoon, Config, Stages};
 use vernissage::style::{self, Style, StyleInput, StyleName, Styler};
-
-const FRAMES: [&str; 2] = ["micro_coffee_160x120", "micro_stress_160x120"];
-
-fn data(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/filters").join(name)
-}
-
-fn frame_of(picture: Rgb) -> Frame {
-    Frame { luma: Plane::new(picture.size(), 0), color: picture, ..Frame::default() }
-}
-
-fn frame(name: &str) -> Frame {
-    frame_of(picture::read(&data(&format!("{name}.png"))).expect("test picture"))
-}
 
 /// One array of a reference file: its shape and values.
 fn stage(frame: &str, name: &str) -> (Vec<u64>, Vec<f32>) {
@@ -300,10 +289,6 @@ fn folder(name: &str) -> PathBuf {
     let _ = std::fs::remove_dir_all(&folder);
     std::fs::create_dir_all(&folder).expect("temporary folder");
     folder
-}
-
-fn text(path: &Path) -> &str {
-    path.to_str().expect("plain path")
 }
 
 #[test]

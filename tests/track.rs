@@ -3,10 +3,10 @@
 
 use glam::{DMat3, DVec2};
 use std::f64::consts::TAU;
-use vernissage::app::bench::markers::{Background, Blur, Light, SIDE_MM, Setup, expose, pose_at};
+use vernissage::app::bench::markers::{Background, Blur, Light, SIDE_MM, Setup, pose_at};
 use vernissage::app::bench::tally::{Class, Tally, quantile};
 use vernissage::frame::Sighting;
-use vernissage::geometry::{Homography, Lens, Pose};
+use vernissage::geometry::{Homography, Lens};
 use vernissage::marker::Family;
 use vernissage::pixels::simd::{self, Level};
 use vernissage::pixels::{Plane, PlaneRef, Size, SplitMix64};
@@ -15,26 +15,6 @@ use vernissage::track::{Config, Tracker, Wanted, solve};
 /// Families that prove themselves, of every number of bits but the largest.
 const FAMILIES: [Family; 4] =
     [Family::Tag36h11, Family::Aruco4x4_50, Family::Aruco5x5_100, Family::Aruco6x6_250];
-
-/// A frame of a family's prints on a textured table.
-fn setup(lens: &Lens, family: Family, prints: Vec<(u32, Pose)>, seed: u64) -> Setup {
-    Setup {
-        lens: *lens,
-        family,
-        prints,
-        inks: [30.0, 210.0],
-        background: Background::Texture,
-        light: Light::EVEN,
-        blur: Blur::Gaussian(0.5),
-        sigma: 2.0,
-        seed,
-    }
-}
-
-/// Its picture.
-fn draw(setup: &Setup) -> Plane<u8> {
-    expose(&setup.clean(), setup.lens.size, setup.sigma, &mut SplitMix64::new(setup.seed))
-}
 
 fn lens(distorted: bool) -> Lens {
     let mut lens = Lens::guess(Size::new(640, 480));
@@ -67,9 +47,9 @@ fn trial(frames: u64, look: impl Fn(&mut Setup), sides: (f64, f64), tilts_deg: (
             let id = numbers * third + (between(0.0, 1.0) * numbers as f64) as usize;
             (id as u32, pose.expect("in view"))
         });
-        let mut setup = setup(&lens, family, prints.collect(), seed);
+        let mut setup = Setup::calm(&lens, family, prints.collect(), seed);
         look(&mut setup);
-        let seen = tracker.find(draw(&setup).view(), &lens, &everything());
+        let seen = tracker.find(setup.shoot().view(), &lens, &everything());
         assert!(seen.iter().all(|s| s.family == family), "{seen:?}");
         tally.count(&setup.truth(), seen);
     }
@@ -122,9 +102,9 @@ fn nothing_is_seen_where_nothing_is() {
             background: [Background::Plain, Background::Texture, Background::Clutter][seed as usize % 3],
             sigma: [0.0, 5.0, 25.0, 1.0][seed as usize % 4],
             blur: Blur::Sharp,
-            ..setup(&lens, Family::Tag36h11, Vec::new(), 1000 + seed)
+            ..Setup::calm(&lens, Family::Tag36h11, Vec::new(), 1000 + seed)
         };
-        let seen = tracker.find(draw(&empty).view(), &lens, &everything());
+        let seen = tracker.find(empty.shoot().view(), &lens, &everything());
         assert!(seen.is_empty(), "seed {seed}: {seen:?}");
     }
     let mut rng = SplitMix64::new(1);
@@ -140,7 +120,7 @@ fn nothing_is_seen_where_nothing_is() {
     assert!(tracker.find(noise.view(), &lens, &everything()).is_empty());
     // a mirrored print is no marker
     let pose = pose_at(&lens, DVec2::new(300.0, 200.0), 100.0, 0.3, 0.2, 1.0).expect("in view");
-    let frame = draw(&setup(&lens, Family::Tag36h11, vec![(3, pose)], 4));
+    let frame = Setup::calm(&lens, Family::Tag36h11, vec![(3, pose)], 4).shoot();
     let mirrored = Plane::from_fn(frame.size(), |x, y| frame.at(639 - x, y));
     assert_eq!(tracker.find(frame.view(), &lens, &everything()).len(), 1);
     assert!(tracker.find(mirrored.view(), &lens, &everything()).is_empty());
@@ -153,7 +133,7 @@ fn wishes_are_heard() {
     let at =
         |x: f64, id: u32| (id, pose_at(&lens, DVec2::new(x, 240.0), 80.0, 0.2, 0.4, 0.5).expect("in view"));
     let prints = vec![at(110.0, 7), at(320.0, 7), at(530.0, 9)];
-    let frame = draw(&setup(&lens, Family::Aruco4x4_50, prints, 9));
+    let frame = Setup::calm(&lens, Family::Aruco4x4_50, prints, 9).shoot();
     let mut tracker = Tracker::new(Config::default(), simd::best());
     let wish = |id, side_mm| Wanted { family: Family::Aruco4x4_50, id, side_mm };
     let ids = |seen: &[Sighting]| seen.iter().map(|s| s.id).collect::<Vec<_>>();
@@ -174,7 +154,7 @@ fn results_are_the_same_everywhere() {
     let prints = [(0, 120.0, 60.0), (5, 320.0, 110.0), (11, 520.0, 25.0)].map(|(id, x, side)| {
         (id, pose_at(&lens, DVec2::new(x, 200.0), side, f64::from(id), 0.6, 0.3).expect("in view"))
     });
-    let frame = draw(&setup(&lens, Family::Aruco5x5_100, prints.to_vec(), 21));
+    let frame = Setup::calm(&lens, Family::Aruco5x5_100, prints.to_vec(), 21).shoot();
     let mut padded = Plane::with_stride(frame.size(), 701, 77u8);
     for y in 0..480 {
         padded.row_mut(y).copy_from_slice(frame.row(y));
@@ -220,7 +200,7 @@ fn odd_pictures_and_lenses_are_survived() {
     // a lens for another picture size is used as it is
     let whole = lens(false);
     let pose = pose_at(&whole, DVec2::new(300.0, 200.0), 90.0, 0.0, 0.1, 0.0).expect("in view");
-    let frame = draw(&setup(&whole, Family::Tag36h11, vec![(1, pose)], 2));
+    let frame = Setup::calm(&whole, Family::Tag36h11, vec![(1, pose)], 2).shoot();
     let half = PlaneRef::new(frame.samples(), Size::new(500, 400), 640).expect("a part of the frame");
     assert_eq!(tracker.find(half, &whole, &wanted).len(), 1);
 }

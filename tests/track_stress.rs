@@ -3,7 +3,7 @@
 
 use glam::{DMat3, DVec2, DVec3};
 use std::f64::consts::TAU;
-use vernissage::app::bench::markers::{Background, Blur, Light, SIDE_MM, Setup, expose, pose_at};
+use vernissage::app::bench::markers::{SIDE_MM, Setup, pose_at};
 use vernissage::frame::{Sighting, Solved};
 use vernissage::geometry::{Lens, Pose};
 use vernissage::marker::Family;
@@ -12,24 +12,6 @@ use vernissage::track::{Config, Tracker, Wanted, solve};
 
 const SIZE: Size = Size { width: 640, height: 480 };
 const FAMILY: Family = Family::Tag36h11;
-
-fn setup(lens: Lens, prints: Vec<(u32, Pose)>, seed: u64) -> Setup {
-    Setup {
-        lens,
-        family: FAMILY,
-        prints,
-        inks: [30.0, 210.0],
-        background: Background::Texture,
-        light: Light::EVEN,
-        blur: Blur::Gaussian(0.5),
-        sigma: 2.0,
-        seed,
-    }
-}
-
-fn draw(setup: &Setup) -> Plane<u8> {
-    expose(&setup.clean(), setup.lens.size, setup.sigma, &mut SplitMix64::new(setup.seed))
-}
 
 fn look(picture: &Plane<u8>, lens: &Lens) -> Vec<Sighting> {
     let wanted = [Wanted { family: FAMILY, id: None, side_mm: SIDE_MM }];
@@ -56,8 +38,8 @@ fn miss(sighting: &Sighting, lens: &Lens, pose: &Pose) -> f64 {
 /// Draws one print a picture, and returns which were found (within 1.5 px); nothing else may be.
 fn found(lens: Lens, poses: impl Iterator<Item = Pose>) -> Vec<bool> {
     let one = |(seed, pose): (usize, Pose)| {
-        let setup = setup(lens, vec![(5, pose)], seed as u64 + 1);
-        let seen = look(&draw(&setup), &lens);
+        let setup = Setup::calm(&lens, FAMILY, vec![(5, pose)], seed as u64 + 1);
+        let seen = look(&setup.shoot(), &lens);
         seen.iter().for_each(assert_sound);
         assert!(seen.len() <= 1 && seen.iter().all(|s| s.id == 5), "{seen:?}");
         seen.iter().all(|s| {
@@ -164,9 +146,9 @@ fn focal_lengths_and_centers_of_every_kind() {
             for k in 0..4 {
                 let at = DVec2::new(200.0 + 70.0 * f64::from(k), 160.0 + 50.0 * f64::from(k));
                 let Some(pose) = pose_at(&lens, at, 90.0, f64::from(k), 0.3, 2.0) else { continue };
-                let setup = setup(lens, vec![(9, pose)], 7);
+                let setup = Setup::calm(&lens, FAMILY, vec![(9, pose)], 7);
                 let truth = setup.truth();
-                for sighting in look(&draw(&setup), &lens) {
+                for sighting in look(&setup.shoot(), &lens) {
                     assert_sound(&sighting);
                     assert_eq!(sighting.id, 9, "{truth:?}");
                 }
@@ -181,7 +163,8 @@ fn twins_and_nested_squares() {
     let lens = Lens::guess(SIZE);
     let place =
         |x: f64, side: f64| pose_at(&lens, DVec2::new(x, 240.0), side, 0.2, 0.2, 0.5).expect("in view");
-    let seen = look(&draw(&setup(lens, vec![(3, place(160.0, 120.0)), (3, place(470.0, 90.0))], 4)), &lens);
+    let twins = Setup::calm(&lens, FAMILY, vec![(3, place(160.0, 120.0)), (3, place(470.0, 90.0))], 4);
+    let seen = look(&twins.shoot(), &lens);
     assert_eq!(seen.iter().map(|s| s.id).collect::<Vec<_>>(), [3, 3]);
     let mut rng = SplitMix64::new(31);
     let wanted = Family::ALL.map(|family| Wanted { family, id: None, side_mm: SIDE_MM });

@@ -210,6 +210,26 @@ pub fn pose_at(lens: &Lens, center: DVec2, side_px: f64, spin: f64, tilt: f64, a
 }
 
 impl Setup {
+    /// A calm scene of these prints: even light, a textured table, noise σ 2.
+    pub fn calm(lens: &Lens, family: Family, prints: Vec<(u32, Pose)>, seed: u64) -> Self {
+        Self {
+            lens: *lens,
+            family,
+            prints,
+            inks: [30.0, 210.0],
+            background: Background::Texture,
+            light: Light::EVEN,
+            blur: Blur::Gaussian(0.5),
+            sigma: 2.0,
+            seed,
+        }
+    }
+
+    /// Its picture, the noise drawn from its seed.
+    pub fn shoot(&self) -> Plane<u8> {
+        expose(&self.clean(), self.lens.size, self.sigma, &mut SplitMix64::new(self.seed))
+    }
+
     /// Accuracy set: 1-6 markers, side log-uniform 15-250 px, tilt 0-75°; noise, blur, light, background and
     /// lens of every kind.
     pub fn accuracy(rng: &mut SplitMix64, size: Size, family: Family) -> Self {
