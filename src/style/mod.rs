@@ -5,6 +5,7 @@
 //! models (the renderer does) and never looks at markers.
 
 pub mod bilateral;
+pub mod brush;
 pub mod cartoon;
 pub mod composite;
 mod config;

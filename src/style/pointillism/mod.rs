@@ -17,8 +17,8 @@ mod sprite;
 
 pub use grid::{GridFile, Site};
 pub use reference::{reference, reference_with_models};
-pub use sprite::SpriteFile;
 
+use super::brush::BrushFile;
 use super::{ConfigError, Style, StyleInput, StyleName};
 use crate::frame::{Needs, Particle};
 use crate::geometry::Similarity;
@@ -55,7 +55,7 @@ pub struct Config {
     /// Seed of the grid and of the models' points, 0 to 2^63 - 1. Default 2005.
     pub seed: u64,
     /// A gray picture to use as the brush, white = opaque; relative to the working directory. Default "" (built in).
-    pub sprite: SpriteFile,
+    pub sprite: BrushFile,
     /// A .npy file (N x 6: x, y, radius, dr, dg, db, in drawing order; px and shares of full brightness) to use as the
     /// grid for every frame size; relative to the working directory. Default "" (made anew).
     pub grid: GridFile,
@@ -73,7 +73,7 @@ impl Default for Config {
             opacity: 0.85,
             num_particles: 20_000,
             seed: 2005,
-            sprite: SpriteFile::default(),
+            sprite: BrushFile::default(),
             grid: GridFile::default(),
         }
     }
@@ -155,7 +155,7 @@ impl Pointillism {
             None => Some(config.radius_max.saturating_mul(2)),
         };
         Self {
-            stamps: Stamps::new(config.sprite.mask(), config.opacity, radius.into_iter()),
+            stamps: Stamps::new(config.sprite.mask(&sprite::BUILT_IN), config.opacity, radius.into_iter()),
             config,
             level,
             motion: None,

@@ -54,7 +54,8 @@ struct Brush {
 
 impl Brush {
     fn new(config: &Config) -> Self {
-        let masks = (0..=super::grid::MAX_RADIUS).map(|radius| scaled(config.sprite.mask(), radius));
+        let masks = (0..=super::grid::MAX_RADIUS)
+            .map(|radius| scaled(config.sprite.mask(&super::sprite::BUILT_IN), radius));
         Self { masks: masks.collect(), opacity: config.opacity }
     }
 

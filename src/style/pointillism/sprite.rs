@@ -1,17 +1,16 @@
-//! The brush: a gray picture whose brightness is the opacity of a stroke, and that picture at the sizes of strokes.
+//! The brush at the sizes of strokes, and the built-in one.
 
 use super::grid::MAX_RADIUS;
-use crate::pixels::{Plane, Size, SplitMix64, picture};
-use serde::{Deserialize, Serialize};
-use std::path::PathBuf;
-use std::sync::Arc;
+use crate::pixels::{Plane, Size, SplitMix64};
+use std::sync::LazyLock;
 
 /// Side of the built-in brush, px.
 const SIDE: usize = 64;
-/// Longest side of a brush picture, px.
-const LONGEST: usize = 4096;
 
-/// The built-in brush: a round touch of paint, thinner towards its rim and streaked by bristles along x.
+/// The built-in brush.
+pub(super) static BUILT_IN: LazyLock<Plane<u8>> = LazyLock::new(built_in);
+
+/// A round touch of paint, thinner towards its rim and streaked by bristles along x.
 fn built_in() -> Plane<u8> {
     const REACH: usize = 6;
     let mut rng = SplitMix64::new(64);
@@ -27,65 +26,6 @@ fn built_in() -> Plane<u8> {
         let rim = 1.0 - t * t * (3.0 - 2.0 * t);
         ((paint * rim).clamp(0.0, 1.0) * 255.0 + 0.5).floor() as u8
     })
-}
-
-/// The setting `sprite`: a path whose picture is read as soon as the setting is; "" for the built-in brush.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(try_from = "PathBuf", into = "PathBuf")]
-pub struct SpriteFile {
-    path: PathBuf,
-    mask: Arc<Plane<u8>>,
-}
-
-impl Default for SpriteFile {
-    fn default() -> Self {
-        Self { path: PathBuf::new(), mask: Arc::new(built_in()) }
-    }
-}
-
-impl SpriteFile {
-    /// Opacity, 255 = covered.
-    pub fn mask(&self) -> &Plane<u8> {
-        &self.mask
-    }
-}
-
-impl From<SpriteFile> for PathBuf {
-    fn from(file: SpriteFile) -> Self {
-        file.path
-    }
-}
-
-/// Why a brush picture is refused.
-#[derive(Debug, thiserror::Error)]
-pub enum SpriteError {
-    /// It is not a picture.
-    #[error(transparent)]
-    Picture(#[from] picture::PictureError),
-    /// It is too large for a brush.
-    #[error("{path}: {size} px is too large for a brush; at most 4096x4096", path = path.display())]
-    Large {
-        /// The file.
-        path: PathBuf,
-        /// Its size.
-        size: Size,
-    },
-}
-
-impl TryFrom<PathBuf> for SpriteFile {
-    type Error = SpriteError;
-
-    fn try_from(path: PathBuf) -> Result<Self, SpriteError> {
-        if path.as_os_str().is_empty() {
-            return Ok(Self::default());
-        }
-        let mask = picture::read_gray(&path)?;
-        let size = mask.size();
-        if size.width.max(size.height) > LONGEST {
-            return Err(SpriteError::Large { path, size });
-        }
-        Ok(Self { path, mask: Arc::new(mask) })
-    }
 }
 
 /// The mask at `2·radius + 1` pixels, 0..1: bilinear between the four nearest samples, also when that skips some.

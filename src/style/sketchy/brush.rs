@@ -1,75 +1,15 @@
-//! The brush of polygons and sprites: a gray picture whose brightness is opacity.
+//! The brush of polygons and sprites.
 
-use crate::pixels::{Plane, Size, hash_noise, picture};
-use serde::{Deserialize, Serialize};
-use std::path::PathBuf;
-use std::sync::Arc;
+use crate::pixels::{Plane, Size, hash_noise};
+use std::sync::LazyLock;
 
 /// Side of the built-in brush, px.
 const SIDE: usize = 64;
-/// Longest side of a brush picture, px.
-const LONGEST: usize = 4096;
 
-/// The setting `brush`: a path whose picture is read as soon as the setting is; "" for the built-in brush.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(try_from = "PathBuf", into = "PathBuf")]
-pub struct BrushFile {
-    path: PathBuf,
-    mask: Arc<Plane<u8>>,
-}
+/// The built-in brush.
+pub static BUILT_IN: LazyLock<Plane<u8>> = LazyLock::new(built_in);
 
-impl Default for BrushFile {
-    fn default() -> Self {
-        Self { path: PathBuf::new(), mask: Arc::new(built_in()) }
-    }
-}
-
-impl BrushFile {
-    /// Opacity, 255 = opaque.
-    pub fn mask(&self) -> &Plane<u8> {
-        &self.mask
-    }
-}
-
-impl From<BrushFile> for PathBuf {
-    fn from(file: BrushFile) -> Self {
-        file.path
-    }
-}
-
-/// Why a brush picture is refused.
-#[derive(Debug, thiserror::Error)]
-pub enum BrushError {
-    /// It is not a picture.
-    #[error(transparent)]
-    Picture(#[from] picture::PictureError),
-    /// It is too large for a brush.
-    #[error("{path}: {size} px is too large for a brush; at most 4096x4096", path = path.display())]
-    Large {
-        /// The file.
-        path: PathBuf,
-        /// Its size.
-        size: Size,
-    },
-}
-
-impl TryFrom<PathBuf> for BrushFile {
-    type Error = BrushError;
-
-    fn try_from(path: PathBuf) -> Result<Self, BrushError> {
-        if path.as_os_str().is_empty() {
-            return Ok(Self::default());
-        }
-        let mask = picture::read_gray(&path)?;
-        let size = mask.size();
-        if size.width.max(size.height) > LONGEST {
-            return Err(BrushError::Large { path, size });
-        }
-        Ok(Self { path, mask: Arc::new(mask) })
-    }
-}
-
-/// A bristle brush: streaks along x that break up, thin at both sides.
+/// Bristles: streaks along x that break up, thin at both sides.
 fn built_in() -> Plane<u8> {
     let noise = |x: usize, y: usize, layer: u64| {
         (hash_noise(x as u32, y as u32, layer, 0) >> 40) as f64 / (1u64 << 24) as f64

@@ -1,9 +1,9 @@
 //! Settings of the sketchy style.
 
-use super::brush::BrushFile;
 use super::paper::Paper;
 use super::starts::StartsFile;
 use crate::kernel::gaussian::MAX_SIGMA;
+use crate::style::brush::BrushFile;
 use crate::style::{ConfigError, StyleName};
 use serde::{Deserialize, Serialize};
 

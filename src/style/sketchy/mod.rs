@@ -248,7 +248,7 @@ impl Style for Sketchy {
                 halves: &self.halves,
                 strokes: &self.strokes,
                 sprites: &self.sprites,
-                brush: Brush::new(self.config.brush.mask()),
+                brush: Brush::new(self.config.brush.mask(&brush::BUILT_IN)),
             };
             let level = self.level;
             let [r, g, b] = &mut out.planes;

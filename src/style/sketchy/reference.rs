@@ -235,7 +235,7 @@ fn print(config: &Config, middle: [f64; 2], nearness: f64, shade: &mut Plane<f64
 
 /// Opacity of the brush at (`u`, `v`) of [0,1]x[0,1], bilinear.
 fn brush(config: &Config, u: f64, v: f64) -> f64 {
-    let mask = config.brush.mask();
+    let mask = config.brush.mask(&super::brush::BUILT_IN);
     let at = |x: f64, y: f64| {
         let clamped = |i: f64, count: usize| i.clamp(0.0, count as f64 - 1.0) as usize;
         f64::from(mask.at(clamped(x, mask.size().width), clamped(y, mask.size().height))) / 255.0
