@@ -105,6 +105,7 @@ pub fn run(args: Args) -> anyhow::Result<()> {
         shading,
         cull_back: args.cull == Cull::Back,
         secondary: false,
+        phantom: false,
     };
     let scene = Scene { models: vec![model], ..Scene::default() };
     let placed = [Placed { model: 0, to_camera }];

@@ -1,66 +1,120 @@
-//! A chunk of consecutive triangles: those that can cover a pixel center become records, listed per tile in
-//! submission order. Each chunk is filled by one task and read by all tiles, so nothing is locked.
+//! A chunk of consecutive triangles: those that cover a pixel center become records, listed per tile in submission
+//! order. Each chunk is filled by one task and read by all tiles, so nothing is locked.
+//!
+//! Eight triangles at a time are bounded and wound by their spots alone; of those in a box of at most two by two
+//! pixel centers the centers themselves are tried. Only what is left is looked at singly: small triangles become
+//! records at once, large ones and those to be cut go the long way.
 
 use super::clip::{self, Corner};
-use super::vertex::{Vertex, normal_matrix, unit};
+use super::vertex::{NO_SPOT, Spot, Vertices, normal_matrix, unit};
 use super::{Instance, View};
 use crate::frame::Needs;
+use crate::pixels::simd::{Level, dispatch};
 use crate::pixels::{TILE, TileGrid};
-use crate::scene::{Model, Shading};
-use glam::{DVec2, DVec3};
+use crate::scene::{Mesh, Shading};
+use fearless_simd::{Simd, SimdBase, i32x8, mask32x8, prelude::*};
+use glam::{DMat3, DVec2, DVec3, Vec2, Vec3};
 use std::ops::Range;
 
-/// Marks a corner as one of the chunk's own vertices (from cutting), not one of the frame's.
+/// On a record's first corner: all three are the chunk's own vertices, made by cutting.
 pub(super) const OWN: u32 = 1 << 31;
+/// On a record's second corner: the triangle is not known to be less than 64 px across.
+pub(super) const LARGE: u32 = 1 << 31;
+/// What small means, in 1/256 px: products of differences fit in 32 bits.
+const SMALL: i32 = 1 << 14;
 const NONE: u32 = u32::MAX;
 /// Triangles over more tiles than this in a direction are not listed per tile but checked by every tile.
 const MAX_LISTED: usize = 2;
+/// Of a pixel coordinate's bits, those within a tile.
+const TILE_SHIFT: u32 = TILE.trailing_zeros();
+/// Triangles of a batch.
+const BATCH: usize = 8;
 
 /// A triangle that may cover pixel centers.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Record {
-    /// Indices of its corners: frame vertices, or the chunk's own where `OWN` is set. Wound so that the
-    /// snapped area is positive with y down.
+    /// Its corners: vertices of the mesh, or the chunk's own, with their marks. Wound so that the snapped area
+    /// is positive with y down.
     pub corners: [u32; 3],
     /// Index into the frame's surfaces.
     pub surface: u32,
-    /// Intensity of the face normal.
+    /// Intensity of a flat face; below 0 where intensity is interpolated.
     pub face: f32,
-    /// The instance it belongs to.
-    pub instance: u32,
-    /// The three mesh vertices, for texture coordinates; meaningless for own corners.
-    pub first_vertex: u32,
     /// Pixels whose centers it may cover: x0, y0, x1, y1, all inclusive.
     pub bounds: [i16; 4],
-}
-
-/// A vertex made by cutting.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct OwnVertex {
-    pub vertex: Vertex,
-    pub uv: [f32; 2],
-}
-
-#[derive(Clone, Copy)]
-struct Link {
-    record: u32,
+    /// The next record of the same tile.
     next: u32,
 }
 
 /// Consecutive triangles of one instance and what is left of them.
 #[derive(Default)]
 pub(super) struct Chunk {
-    instance: usize,
+    pub instance: usize,
     triangles: Range<usize>,
     columns: usize,
-    pub records: Vec<Record>,
-    pub own: Vec<OwnVertex>,
+    /// A triangle over several tiles is one record in each.
+    records: Vec<Record>,
+    /// Vertices made by cutting, their texture coordinates and colors.
+    pub own: Vertices,
+    pub own_uv: Vec<Vec2>,
+    pub own_colors: Vec<Vec3>,
     heads: Vec<u32>,
     tails: Vec<u32>,
-    links: Vec<Link>,
     wide: Vec<u32>,
     /// Tiles under all wide triangles together: column and row ranges, inclusive.
     wide_tiles: Option<[usize; 4]>,
+}
+
+/// What stays the same for all triangles of a chunk.
+struct Sorting<'a> {
+    view: &'a View<'a>,
+    instance: Instance,
+    mesh: &'a Mesh,
+    spots: &'a [Spot],
+    /// The surface of all triangles, where there is but one and faces are not flat.
+    plain: Option<u32>,
+    /// Turns face normals, where faces are flat.
+    flat: Option<DMat3>,
+    cull_back: bool,
+    /// Triangles whose box is smaller, 1/256 px, need no second look.
+    reach: i32,
+}
+
+impl<'a> Sorting<'a> {
+    fn new(view: &'a View<'a>, instance: Instance) -> Self {
+        let model = &view.scene.models[instance.placed.model];
+        let spots = &view.vertices.spots[instance.first_vertex..][..model.mesh.positions.len()];
+        let flat = matches!(view.look.shading.unwrap_or(model.shading), Shading::Flat);
+        let straight = if view.field.bends() { clip::straight_box(view.field) } else { SMALL };
+        Self {
+            view,
+            instance,
+            mesh: &model.mesh,
+            spots,
+            plain: (!flat && model.mesh.materials.is_empty()).then_some(instance.first_surface as u32),
+            flat: flat.then(|| normal_matrix(&instance.placed.to_camera)),
+            cull_back: model.cull_back || view.look.needs.includes(Needs::SILHOUETTE),
+            reach: straight.min(SMALL),
+        }
+    }
+
+    fn surface(&self, triangle: usize) -> u32 {
+        let none = self.mesh.materials.len();
+        let own = self.mesh.material_of.get(triangle).map_or(0, |&m| usize::from(m).min(none));
+        (self.instance.first_surface + own) as u32
+    }
+
+    fn face(&self, corners: [u32; 3]) -> f32 {
+        let Some(normals) = self.flat else { return -1.0 };
+        let at = |c: u32| self.mesh.positions.get(c as usize).copied().unwrap_or_default().as_dvec3();
+        let [a, b, c] = corners.map(at);
+        unit(normals * (b - a).cross(c - a)).dot(self.view.scene.light.direction.as_dvec3()).max(0.0) as f32
+    }
+
+    fn record(&self, triangle: usize, corners: [u32; 3], bounds: [i16; 4]) -> Record {
+        let (surface, face) = (self.surface(triangle), self.face(corners));
+        Record { corners, surface, face, bounds, next: NONE }
+    }
 }
 
 impl Chunk {
@@ -68,11 +122,12 @@ impl Chunk {
     pub fn begin(&mut self, instance: usize, triangles: Range<usize>, length: usize, grid: TileGrid) {
         (self.instance, self.triangles, self.columns) = (instance, triangles, grid.columns());
         self.records.clear();
-        self.records.reserve(length + length / 4);
+        self.records.reserve(2 * length);
         self.own.clear();
-        self.own.reserve(256);
-        self.links.clear();
-        self.links.reserve(2 * length);
+        self.own_uv.clear();
+        self.own_uv.reserve(256);
+        self.own_colors.clear();
+        self.own_colors.reserve(256);
         self.wide.clear();
         self.wide.reserve(64);
         self.wide_tiles = None;
@@ -88,167 +143,299 @@ impl Chunk {
         self.heads[tile] != NONE || self.wide_tiles.is_some_and(wide)
     }
 
+    /// Whether there are records to walk for the tile.
+    pub fn holds(&self, tile: usize) -> bool {
+        self.heads[tile] != NONE || !self.wide.is_empty()
+    }
+
     /// The records that may touch the tile, in submission order.
     pub fn records_of(&self, tile: usize) -> impl Iterator<Item = &Record> {
-        let mut link = self.heads[tile];
+        let mut listed = self.heads[tile];
         let mut wide = self.wide.iter().copied().peekable();
         std::iter::from_fn(move || {
-            let listed = if link == NONE { NONE } else { self.links[link as usize].record };
-            match wide.peek() {
-                Some(&record) if record < listed => {
-                    wide.next();
-                    Some(&self.records[record as usize])
-                }
-                _ if listed == NONE => None,
-                _ => {
-                    link = self.links[link as usize].next;
-                    Some(&self.records[listed as usize])
-                }
+            if let Some(&index) = wide.peek()
+                && index < listed
+            {
+                wide.next();
+                return self.records.get(index as usize);
             }
+            let record = self.records.get(listed as usize)?;
+            listed = record.next;
+            Some(record)
         })
     }
 
     /// Sorts the chunk's triangles into records and tiles.
-    pub fn fill(&mut self, view: &View<'_>) {
-        let instance = view.instances[self.instance];
-        let model = &view.scene.models[instance.placed.model];
-        let mesh = &model.mesh;
-        let vertices = &view.vertices[instance.first_vertex..][..mesh.positions.len()];
-        let normals = normal_matrix(&instance.placed.to_camera);
-        let towards = view.scene.light.direction.as_dvec3();
-        let flat = matches!(view.look.shading.unwrap_or(model.shading), Shading::Flat);
-        let (nearest_far, bends) = (1.0 / view.camera.far, view.field.bends());
-        for t in self.triangles.clone() {
-            let corners = mesh.triangles[t];
-            let at = corners.map(|c| vertices.get(c as usize));
-            let [Some(a), Some(b), Some(c)] = at else { continue };
-            let (least, most) = (a.w.min(b.w).min(c.w), a.w.max(b.w).max(c.w));
-            if (a.w + b.w + c.w).is_nan() {
-                continue;
+    pub fn fill(&mut self, level: Level, view: &View<'_>) {
+        let sorting = Sorting::new(view, view.instances[self.instance]);
+        dispatch!(level, simd => self.sort(simd, &sorting, self.triangles.clone()));
+    }
+
+    #[inline(always)]
+    fn sort<S: Simd>(&mut self, simd: S, sorting: &Sorting<'_>, triangles: Range<usize>) {
+        let spot = |corner: u32| sorting.spots.get(corner as usize).copied().unwrap_or(NO_SPOT);
+        let nowhere = [NO_SPOT; BATCH];
+        let mut first = triangles.start;
+        for batch in sorting.mesh.triangles[triangles].chunks(BATCH) {
+            let (mut a, mut b, mut c) = (nowhere, nowhere, nowhere);
+            for (k, triangle) in batch.iter().enumerate() {
+                (a[k], b[k], c[k]) = (spot(triangle[0]), spot(triangle[1]), spot(triangle[2]));
             }
-            let whole = least > 0.0;
-            if whole && most < nearest_far {
-                continue;
-            }
-            let bent = whole
-                && bends
-                && (clip::may_bend(a, b, view.field)
-                    || clip::may_bend(b, c, view.field)
-                    || clip::may_bend(c, a, view.field));
-            let face = || match flat {
-                true => {
-                    let [a, b, c] = corners.map(|c| mesh.positions[c as usize].as_dvec3());
-                    unit(normals * (b - a).cross(c - a)).dot(towards).max(0.0) as f32
+            let sorted = Sorted::new(simd, sorting, &a, &b, &c);
+            let mut left = (sorted.small | sorted.others) & ((1 << batch.len()) - 1);
+            while left != 0 {
+                let k = left.trailing_zeros() as usize % BATCH;
+                left &= left - 1;
+                let Some(&[a, b, c]) = batch.get(k) else { break };
+                if sorted.others >> k & 1 == 1 {
+                    self.single(sorting, first + k, [a, b, c]);
+                    continue;
                 }
-                false => 0.0,
-            };
-            let surface = instance.first_surface as u32
-                + mesh.material_of.get(t).map_or(0, |&m| (usize::from(m)).min(mesh.materials.len()) as u32);
-            let mut record = Record {
-                corners: corners.map(|c| c + instance.first_vertex as u32),
-                surface,
-                face: 0.0,
-                instance: self.instance as u32,
-                first_vertex: instance.first_vertex as u32,
-                bounds: [0; 4],
-            };
-            if whole && !bent {
-                let snapped = [a.snapped, b.snapped, c.snapped];
-                if self.shape(&mut record, snapped, view, model) {
-                    record.face = face();
-                    self.list(record);
+                let front = sorted.front >> k & 1 == 1;
+                let corners = if front { [a, c, b] } else { [a, b, c] };
+                let bounds = [sorted.lows[k], sorted.lows[k] >> 16, sorted.highs[k], sorted.highs[k] >> 16];
+                let bounds = bounds.map(|v| v as i16);
+                let record = match sorting.plain {
+                    Some(surface) => Record { corners, surface, face: -1.0, bounds, next: NONE },
+                    None => Record { corners, ..sorting.record(first + k, [a, b, c], bounds) },
+                };
+                match sorted.tiles[k] {
+                    SEVERAL => self.list(record),
+                    tile => self.append(record, tile as usize),
                 }
-            } else {
-                self.cut(record, face(), corners, view, &instance, model);
             }
+            first += BATCH;
+        }
+    }
+
+    /// One triangle, whatever it is.
+    #[inline(never)]
+    fn single(&mut self, sorting: &Sorting<'_>, triangle: usize, corners: [u32; 3]) {
+        let Sorting { view, instance, .. } = sorting;
+        let places = &view.vertices.places[instance.first_vertex..][..sorting.spots.len()];
+        let at = corners.map(|c| places.get(c as usize));
+        let [Some(a), Some(b), Some(c)] = at else { return };
+        let (least, most) = (a.w.min(b.w).min(c.w), a.w.max(b.w).max(c.w));
+        if (a.w + b.w + c.w).is_nan() {
+            return;
+        }
+        let whole = least > 0.0;
+        if whole && most < 1.0 / view.camera.far {
+            return;
+        }
+        let field = view.field;
+        let bent = whole
+            && field.bends()
+            && (clip::may_bend(a, b, field) || clip::may_bend(b, c, field) || clip::may_bend(c, a, field));
+        if whole && !bent {
+            let spots = corners.map(|c| sorting.spots[c as usize]);
+            if let Some((wound, bounds)) = shape(spots, sorting) {
+                let mut record = sorting.record(triangle, corners, bounds);
+                record.corners = wound.map(|k| corners[k]);
+                record.corners[1] |= LARGE;
+                self.list(record);
+            }
+        } else {
+            self.cut(sorting, triangle, corners);
         }
     }
 
     /// The rare way: cut and split first.
-    fn cut(
-        &mut self,
-        record: Record,
-        face: f32,
-        corners: [u32; 3],
-        view: &View<'_>,
-        instance: &Instance,
-        model: &Model,
-    ) {
-        let mesh = &model.mesh;
-        let corners = corners.map(|c| {
-            let c = c as usize;
-            let vertex = &view.vertices[instance.first_vertex + c];
+    fn cut(&mut self, sorting: &Sorting<'_>, triangle: usize, corners: [u32; 3]) {
+        let Sorting { view, instance, mesh, .. } = sorting;
+        let whole = sorting.record(triangle, corners, [0; 4]);
+        let cut = corners.map(|c| {
+            let (c, index) = (c as usize, instance.first_vertex + c as usize);
+            let normal = view.vertices.normals.get(index).copied().unwrap_or_default();
             Corner {
                 point: instance.placed.to_camera.transform_point3(mesh.positions[c].as_dvec3()),
-                normal: DVec3::from_array(vertex.normal.map(f64::from)),
-                intensity: f64::from(vertex.intensity),
+                normal: DVec3::from_array(normal.map(f64::from)),
+                intensity: f64::from(view.vertices.places[index].intensity),
                 uv: mesh.texcoords.get(c).map_or(DVec2::ZERO, |uv| uv.as_dvec2()),
+                color: mesh.colors.get(c).map_or(DVec3::ONE, |color| color.as_dvec3()),
             }
         });
-        let near = view.camera.near;
-        clip::cut(corners, near, view.field, &mut |piece, uvs| {
-            let mut record = Record { face, ..record };
-            record.corners = [0, 1, 2].map(|k| OWN | (self.own.len() + k) as u32);
-            if self.shape(&mut record, piece.map(|v| v.snapped), view, model) {
-                for (vertex, uv) in piece.into_iter().zip(uvs) {
-                    self.own.push(OwnVertex { vertex, uv: uv.as_vec2().to_array() });
-                }
-                self.list(record);
+        clip::cut(cut, view.camera.near, view.field, &mut |piece| {
+            let Some((wound, bounds)) = shape(piece.each_ref().map(|seen| seen.spot), sorting) else {
+                return;
+            };
+            let first = self.own.spots.len() as u32;
+            for seen in piece {
+                self.own.spots.push(seen.spot);
+                self.own.places.push(seen.vertex);
+                self.own.normals.push(seen.corner.normal.as_vec3().to_array());
+                self.own_uv.push(seen.corner.uv.as_vec2());
+                self.own_colors.push(seen.corner.color.as_vec3());
             }
+            let mut record = Record { bounds, ..whole };
+            record.corners = wound.map(|k| first + k as u32);
+            record.corners[0] |= OWN;
+            record.corners[1] |= LARGE;
+            self.list(record);
         });
     }
 
-    /// Winds the record and bounds its pixels; `false` when it covers no pixel center or faces away.
-    #[inline]
-    fn shape(&self, record: &mut Record, p: [[i32; 2]; 3], view: &View<'_>, model: &Model) -> bool {
-        let [a, b, c] = p;
-        let (x0, y0, x1, y1) = (i64::from(a[0]), i64::from(a[1]), i64::from(b[0]), i64::from(b[1]));
-        let (x2, y2) = (i64::from(c[0]), i64::from(c[1]));
-        let area = (x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0);
-        // positive = clockwise as seen, the back
-        let cull_back = model.cull_back || view.look.needs.includes(Needs::SILHOUETTE);
-        if area == 0 || (cull_back && area > 0) {
-            return false;
-        }
-        if area < 0 {
-            record.corners.swap(1, 2);
-        }
-        let size = view.camera.lens.size;
-        let first = |v: i64| ((v + 255) >> 8).max(0);
-        let left = first(x0.min(x1).min(x2));
-        let top = first(y0.min(y1).min(y2));
-        let right = (x0.max(x1).max(x2) >> 8).min(size.width as i64 - 1);
-        let bottom = (y0.max(y1).max(y2) >> 8).min(size.height as i64 - 1);
-        if left > right || top > bottom {
-            return false;
-        }
-        record.bounds = [left, top, right, bottom].map(|v| v as i16);
-        true
-    }
-
-    /// Adds a record and lists it under its tiles.
-    #[inline]
+    /// Adds a record under each of its tiles.
+    #[inline(always)]
     fn list(&mut self, record: Record) {
-        let index = self.records.len() as u32;
         let [x0, y0, x1, y1] = record.bounds.map(|v| v as usize / TILE);
-        self.records.push(record);
+        if x0 == x1 && y0 == y1 {
+            return self.append(record, y0 * self.columns + x0);
+        }
+        self.list_more(record, [x0, y0, x1, y1]);
+    }
+
+    #[inline(never)]
+    fn list_more(&mut self, record: Record, [x0, y0, x1, y1]: [usize; 4]) {
         if x1 - x0 >= MAX_LISTED || y1 - y0 >= MAX_LISTED {
-            self.wide.push(index);
+            self.wide.push(self.records.len() as u32);
+            self.records.push(record);
             let [a, b, c, d] = self.wide_tiles.unwrap_or([x0, y0, x1, y1]);
             self.wide_tiles = Some([a.min(x0), b.min(y0), c.max(x1), d.max(y1)]);
             return;
         }
         for row in y0..=y1 {
             for column in x0..=x1 {
-                let tile = row * self.columns + column;
-                let link = self.links.len() as u32;
-                self.links.push(Link { record: index, next: NONE });
-                match self.tails[tile] {
-                    NONE => self.heads[tile] = link,
-                    last => self.links[last as usize].next = link,
-                }
-                self.tails[tile] = link;
+                self.append(record, row * self.columns + column);
             }
         }
     }
+
+    #[inline(always)]
+    fn append(&mut self, record: Record, tile: usize) {
+        let index = self.records.len() as u32;
+        self.records.push(record);
+        let Some(tail) = self.tails.get_mut(tile) else { return };
+        let last = std::mem::replace(tail, index);
+        match self.records.get_mut(last as usize) {
+            Some(last) => last.next = index,
+            None => self.heads[tile] = index,
+        }
+    }
+}
+
+/// Which of the corners comes first, second and third, and the pixels they bound; `None` when no pixel center is
+/// covered or the triangle faces away.
+fn shape(p: [Spot; 3], sorting: &Sorting<'_>) -> Option<([usize; 3], [i16; 4])> {
+    let [[x0, y0], [x1, y1], [x2, y2]] = p.map(|spot| spot.map(i64::from));
+    let area = (x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0);
+    // positive = clockwise as seen, the back
+    if area == 0 || (sorting.cull_back && area > 0) {
+        return None;
+    }
+    let size = sorting.view.camera.lens.size;
+    let first = |v: i64| ((v + 255) >> 8).max(0);
+    let left = first(x0.min(x1).min(x2));
+    let top = first(y0.min(y1).min(y2));
+    let right = (x0.max(x1).max(x2) >> 8).min(size.width as i64 - 1);
+    let bottom = (y0.max(y1).max(y2) >> 8).min(size.height as i64 - 1);
+    let wound = if area < 0 { [0, 2, 1] } else { [0, 1, 2] };
+    (left <= right && top <= bottom).then(|| (wound, [left, top, right, bottom].map(|v| v as i16)))
+}
+
+/// A batch of triangles by their spots; a bit a triangle.
+struct Sorted {
+    /// Small ones that may cover a pixel center and are not culled.
+    small: u32,
+    /// Those that must be looked at singly.
+    others: u32,
+    /// Of the small ones, those wound counter-clockwise as seen.
+    front: u32,
+    /// Pixels the small ones may cover: left in the low 16 bits and top in the high ones, right and bottom.
+    lows: [i32; BATCH],
+    highs: [i32; BATCH],
+    /// The tile that holds them, or `SEVERAL`.
+    tiles: [i32; BATCH],
+}
+
+/// Not one tile.
+const SEVERAL: i32 = -1;
+
+/// The corners of a batch, x and y apart.
+type Side<S> = (i32x8<S>, i32x8<S>);
+
+impl Sorted {
+    #[inline(always)]
+    fn new<S: Simd>(
+        simd: S,
+        sorting: &Sorting<'_>,
+        a: &[Spot; BATCH],
+        b: &[Spot; BATCH],
+        c: &[Spot; BATCH],
+    ) -> Self {
+        let (a, b, c) = (apart(simd, a), apart(simd, b), apart(simd, c));
+        let of = |v: i32| i32x8::splat(simd, v);
+        let none = of(NO_SPOT[0]);
+        let missing = a.0.simd_eq(none) | b.0.simd_eq(none) | c.0.simd_eq(none);
+        let (x0, x1) = (a.0.min(b.0).min(c.0), a.0.max(b.0).max(c.0));
+        let (y0, y1) = (a.1.min(b.1).min(c.1), a.1.max(b.1).max(c.1));
+        let reach = of(sorting.reach);
+        let small = (x1 - x0).simd_lt(reach) & (y1 - y0).simd_lt(reach);
+        let size = sorting.view.camera.lens.size;
+        let left = ((x0 + of(255)) >> 8).max(of(0));
+        let top = ((y0 + of(255)) >> 8).max(of(0));
+        let right = (x1 >> 8).min(of(size.width as i32 - 1));
+        let bottom = (y1 >> 8).min(of(size.height as i32 - 1));
+        let empty = left.simd_gt(right) | top.simd_gt(bottom);
+        let far_off = if sorting.view.field.bends() { mask32x8::splat(simd, false) } else { empty };
+        let others = missing | !(small | far_off);
+
+        let area = (b.0 - a.0) * (c.1 - a.1) - (c.0 - a.0) * (b.1 - a.1);
+        let front = area.simd_lt(of(0));
+        let kept = if sorting.cull_back { front } else { !area.simd_eq(of(0)) };
+        let mut alive = kept & !empty & !others;
+        let (wide, high) = (right - left, bottom - top);
+        let tiny = alive & wide.simd_le(of(1)) & high.simd_le(of(1));
+        if tiny.any_true() {
+            // wound clockwise
+            let (p, q) = (pick(front, c, b), pick(front, b, c));
+            let corner = (left << 8, top << 8);
+            let (e0, r0, d0) = edge(simd, corner, a, p);
+            let (e1, r1, d1) = edge(simd, corner, p, q);
+            let (e2, r2, d2) = edge(simd, corner, q, a);
+            let (wide, high) = (wide << 8, high << 8);
+            let (r0, r1, r2) = (r0 * wide, r1 * wide, r2 * wide);
+            let (d0, d1, d2) = (d0 * high, d1 * high, d2 * high);
+            let covered = (e0 | e1 | e2).simd_ge(of(0))
+                | ((e0 + r0) | (e1 + r1) | (e2 + r2)).simd_ge(of(0))
+                | ((e0 + d0) | (e1 + d1) | (e2 + d2)).simd_ge(of(0))
+                | ((e0 + r0 + d0) | (e1 + r1 + d1) | (e2 + r2 + d2)).simd_ge(of(0));
+            alive = alive & (covered | !tiny);
+        }
+        let (mut lows, mut highs, mut tiles) = ([0; BATCH], [0; BATCH], [0; BATCH]);
+        (left | (top << 16)).store_slice(&mut lows);
+        (right | (bottom << 16)).store_slice(&mut highs);
+        let one = ((left ^ right) | (top ^ bottom)).simd_lt(of(TILE as i32));
+        let tile = (top >> TILE_SHIFT) * of(sorting.view.grid.columns() as i32) + (left >> TILE_SHIFT);
+        one.select(tile, of(SEVERAL)).store_slice(&mut tiles);
+        Self {
+            small: alive.to_bitmask() as u32,
+            others: others.to_bitmask() as u32,
+            front: front.to_bitmask() as u32,
+            lows,
+            highs,
+            tiles,
+        }
+    }
+}
+
+#[inline(always)]
+fn apart<S: Simd>(simd: S, spots: &[Spot; BATCH]) -> Side<S> {
+    let flat = spots.as_flattened();
+    i32x8::from_slice(simd, &flat[..BATCH]).deinterleave(i32x8::from_slice(simd, &flat[BATCH..]))
+}
+
+#[inline(always)]
+fn pick<S: Simd>(mask: mask32x8<S>, yes: Side<S>, no: Side<S>) -> Side<S> {
+    (mask.select(yes.0, no.0), mask.select(yes.1, no.1))
+}
+
+/// An edge function at a pixel center, below 0 outside by the fill rule, and its steps for 1/256 px.
+#[inline(always)]
+fn edge<S: Simd>(simd: S, at: Side<S>, from: Side<S>, to: Side<S>) -> (i32x8<S>, i32x8<S>, i32x8<S>) {
+    let zero = i32x8::splat(simd, 0);
+    let (right, down) = (from.1 - to.1, to.0 - from.0);
+    let owned = right.simd_gt(zero) | (right.simd_eq(zero) & down.simd_gt(zero));
+    let value = right * (at.0 - from.0) + down * (at.1 - from.1);
+    (value - owned.select(zero, i32x8::splat(simd, 1)), right, down)
 }

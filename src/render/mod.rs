@@ -5,8 +5,9 @@
 //! 3. `bins`: what covers no pixel center dies; the rest is listed per 64-px tile, chunk by chunk, in
 //!    submission order, without locks.
 //! 4. `raster`: one task a tile walks its lists: exact integer edges, 1/z and attributes of the unsnapped
-//!    triangle, nearest and second-nearest surface in the same pass.
-//! 5. `resolve`: covered tiles are written into the layer; tiles covered last time only are cleared.
+//!    triangle, nearest and second-nearest surface in the same pass, into the tile's own pixels (`tile`).
+//! 5. `resolve`: covered tiles are written into the layer, each pixel's nearest surface is shaded (`shade`); tiles
+//!    covered last time only are cleared.
 //! 6. `silhouette`: thick outlines are drawn over the depth, where they are asked for.
 //!
 //! Apart from these, `particles` turns models into points for styles that ask for them.
@@ -23,22 +24,23 @@ mod raster;
 mod resolve;
 mod shade;
 mod silhouette;
+mod tile;
 mod vertex;
 
 use crate::frame::{Layer, Needs};
 use crate::geometry::Lens;
 use crate::pixels::simd::Level;
 use crate::pixels::{Size, TILE, TileGrid, TileSet};
-use crate::scene::{Scene, Shading};
+use crate::scene::{Model, Scene, Shading};
 use bins::Chunk;
 use field::Field;
 use glam::DAffine3;
 use particles::Particles;
-use raster::Slot;
 use rayon::prelude::*;
-use shade::Surface;
+use shade::{Kind, Palette, Surface};
 use silhouette::Silhouette;
-use vertex::Vertex;
+use tile::{Channels, Slot};
+use vertex::{Depths, Stand, Vertices};
 
 pub use particles::Scatter;
 
@@ -91,11 +93,12 @@ enum Part {
 }
 
 impl Part {
-    fn holds(self, secondary: bool) -> bool {
+    /// Phantoms hide both.
+    fn holds(self, model: &Model) -> bool {
         match self {
             Part::Whole => true,
-            Part::Primary => !secondary,
-            Part::Secondary => secondary,
+            Part::Primary => model.phantom || !model.secondary,
+            Part::Secondary => model.phantom || model.secondary,
         }
     }
 }
@@ -115,7 +118,7 @@ pub struct Renderer {
     shape: Option<(Size, Needs)>,
     previous: TileSet,
     field: Option<Field>,
-    vertices: Vec<Vertex>,
+    vertices: Vertices,
     instances: Vec<Instance>,
     surfaces: Vec<Surface>,
     chunks: Vec<Chunk>,
@@ -146,8 +149,11 @@ struct View<'a> {
     grid: TileGrid,
     instances: &'a [Instance],
     surfaces: &'a [Surface],
-    vertices: &'a [Vertex],
+    vertices: &'a Vertices,
+    channels: Channels,
     look: Look,
+    /// 1/z that stands for no surface.
+    nothing: f32,
 }
 
 impl Renderer {
@@ -159,7 +165,7 @@ impl Renderer {
             shape: None,
             previous: TileSet::default(),
             field: None,
-            vertices: Vec::new(),
+            vertices: Vertices::default(),
             instances: Vec::new(),
             surfaces: Vec::new(),
             chunks: Vec::new(),
@@ -229,13 +235,14 @@ impl Renderer {
         let usable = camera.near > 0.0 && camera.far > camera.near && camera.far.is_finite();
         let drawn = size.area() > 0 && size.width.max(size.height) <= MAX_SIDE;
         let drawn = drawn && usable && needs != Needs::NOTHING;
-        let mut used = 0;
+        let (mut used, mut channels) = (0, Channels::default());
+        self.surfaces.clear();
         if drawn {
             if self.field.as_ref().is_none_or(|field| *field.lens() != camera.lens) {
                 self.field = Some(Field::new(camera.lens));
             }
             if needs.without(Needs::PARTICLES) != Needs::NOTHING {
-                used = self.rasterise(scene, placed, camera, grid, look, part);
+                (used, channels) = self.rasterise(scene, placed, camera, grid, look, part);
             }
         }
         for (k, slot) in self.slots[..used].iter().enumerate() {
@@ -244,7 +251,10 @@ impl Renderer {
                 self.slot_of[slot.tile] = k as u32;
             }
         }
-        resolve::resolve(self.level, &mut self.layer, grid, &self.slots, &self.slot_of, &self.previous);
+        let nothing = tile::nothing(camera.far);
+        let palette = Palette { scene, surfaces: &self.surfaces, channels, nothing };
+        let Self { level, layer, slots, slot_of, previous, .. } = self;
+        resolve::resolve(*level, layer, &palette, grid, slots, slot_of, previous);
         if needs.includes(Needs::SILHOUETTE) {
             self.silhouette.draw(&mut self.layer, grid, &self.previous, look.line_width, camera.far);
         }
@@ -286,9 +296,6 @@ impl Renderer {
         self.previous.reset(grid);
         let tiles = if size.width.max(size.height) <= MAX_SIDE { grid.count() } else { 0 };
         self.slots.resize_with(tiles, Slot::default);
-        for slot in &mut self.slots {
-            slot.fit(needs);
-        }
         self.shape = Some((size, needs));
     }
 
@@ -316,7 +323,7 @@ impl Renderer {
         }
     }
 
-    /// Steps 1 to 4; returns how many slots hold tiles.
+    /// Steps 1 to 4; returns how many slots hold tiles, and what of their pixels.
     fn rasterise(
         &mut self,
         scene: &Scene,
@@ -325,7 +332,7 @@ impl Renderer {
         grid: TileGrid,
         look: Look,
         part: Part,
-    ) -> usize {
+    ) -> (usize, Channels) {
         let Self {
             level,
             layer,
@@ -339,13 +346,12 @@ impl Renderer {
             silhouette,
             ..
         } = self;
-        let Some(field) = field.as_ref() else { return 0 };
+        let Some(field) = field.as_ref() else { return (0, Channels::default()) };
         instances.clear();
-        surfaces.clear();
         let (mut vertex_count, mut triangle_count) = (0, 0);
         for &placed in placed {
             let Some(model) = scene.models.get(placed.model) else { continue };
-            if !part.holds(model.secondary) {
+            if !part.holds(model) {
                 continue;
             }
             instances.push(Instance { placed, first_vertex: vertex_count, first_surface: surfaces.len() });
@@ -354,14 +360,20 @@ impl Renderer {
             vertex_count += model.mesh.positions.len();
             triangle_count += model.mesh.triangles.len();
         }
-        vertices.resize(vertex_count, Vertex::default());
+        let channels = channels(look.needs, surfaces);
+        vertices.resize(vertex_count, channels);
+        let mut depths = Depths::NONE;
         for instance in instances.iter() {
             let mesh = &scene.models[instance.placed.model].mesh;
-            let out = &mut vertices[instance.first_vertex..][..mesh.positions.len()];
-            vertex::place(mesh, &instance.placed.to_camera, camera, field, &scene.light, look.needs, out);
+            let (to_camera, near, light) = (&instance.placed.to_camera, camera.near, scene.light.direction);
+            let lit = channels.light || channels.normals;
+            let stand = Stand { mesh, to_camera, near, field, light, lit };
+            depths = depths.join(vertex::place(*level, stand, vertices, instance.first_vertex));
         }
-        layer.extent = extent(vertices, camera);
-        let view = View { scene, camera, field, grid, instances, surfaces, vertices, look };
+        layer.extent = extent(depths, camera);
+        let nothing = tile::nothing(camera.far);
+        let view =
+            View { scene, camera, field, grid, instances, surfaces, vertices, channels, look, nothing };
         if look.needs.includes(Needs::SILHOUETTE) {
             silhouette.find(&view);
         }
@@ -379,7 +391,8 @@ impl Renderer {
             }
         }
         let chunks = &mut chunks[..used_chunks];
-        chunks.par_iter_mut().with_max_len(1).for_each(|chunk| chunk.fill(&view));
+        let level = *level;
+        chunks.par_iter_mut().with_max_len(1).for_each(|chunk| chunk.fill(level, &view));
 
         let mut used = 0;
         for (tile, seen) in slot_of.iter_mut().enumerate() {
@@ -390,24 +403,40 @@ impl Renderer {
                 used += 1;
             }
         }
-        let (level, chunks) = (*level, &*chunks);
+        let chunks = &*chunks;
         slots[..used].par_iter_mut().with_max_len(1).for_each(|slot| {
             raster::draw_tile(level, &view, chunks, slot);
         });
-        used
+        (used, channels)
     }
 }
 
-/// Nearest and farthest camera z of the vertices; those that must be cut count as on the near plane. The first
-/// is the larger when there are none.
-fn extent(vertices: &[Vertex], camera: &Camera) -> [f32; 2] {
+/// What of a pixel these products of these surfaces are made from.
+fn channels(needs: Needs, surfaces: &[Surface]) -> Channels {
+    let color = needs.includes(Needs::COLOR);
+    let second = needs.includes(Needs::SECOND_LAYER);
+    let any = |what: fn(&Surface) -> bool| surfaces.iter().any(what);
+    Channels {
+        light: color && any(|s| matches!(s.kind, Kind::Smooth | Kind::Flat | Kind::Toon)),
+        normals: second || needs.includes(Needs::NORMAL) || (color && any(|s| s.kind == Kind::ThreeSteps)),
+        uv: color && any(Surface::is_textured),
+        colors: color && any(Surface::is_colored),
+        surfaces: color && surfaces.len() > 1,
+        second,
+        phantoms: any(|s| s.kind == Kind::Phantom),
+    }
+}
+
+/// Nearest and farthest camera z; vertices that must be cut count as on the near plane. The first is the larger when
+/// there are none.
+fn extent(depths: Depths, camera: &Camera) -> [f32; 2] {
+    let Depths { least, most, cut } = depths;
     let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
-    for vertex in vertices.iter().filter(|vertex| vertex.w >= 0.0) {
-        let z = if vertex.w > 0.0 { 1.0 / vertex.w } else { camera.near };
-        (low, high) = (low.min(z), high.max(z));
+    if most > 0.0 {
+        (low, high) = (1.0 / most, 1.0 / least);
+    }
+    if cut {
+        (low, high) = (low.min(camera.near), high.max(camera.near));
     }
     [low.max(camera.near) as f32, high.min(camera.far) as f32]
 }
-
-/// Pixels of a slot.
-const TILE_AREA: usize = TILE * TILE;

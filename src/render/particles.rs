@@ -207,7 +207,7 @@ fn color(mesh: &Mesh, triangle: usize, uv: Vec2) -> Vec3 {
     let base = Vec3::from(material.color.to_array().map(share));
     let has_texels = |texture: &&Arc<Rgb>| texture.size().area() > 0;
     match material.texture.as_ref().filter(has_texels) {
-        Some(texture) => base * Vec3::from(sample(texture, uv.x, uv.y)),
+        Some(texture) => base * Vec3::from(sample(texture, material.wrap, uv.x, uv.y)),
         None => base,
     }
 }

@@ -9,7 +9,7 @@
 //! Lines are OpenGL's: one step along the longer axis (x where equal), `line_width` pixels across the other, depth
 //! linear in 1/z along the line. Everything in f64, in bands of tile rows that nothing is shared between.
 
-use super::vertex::Vertex;
+use super::vertex::{NO_SPOT, Vertex};
 use super::{Instance, View, clip};
 use crate::frame::Layer;
 use crate::pixels::{PlaneMut, TILE, TileGrid, TileSet};
@@ -123,7 +123,7 @@ impl Silhouette {
 
     /// Lists an edge, cut and split where it must be.
     fn add(&mut self, view: &View<'_>, instance: &Instance, edge: [u32; 2]) {
-        let [a, b] = edge.map(|i| &view.vertices[instance.first_vertex + i as usize]);
+        let [a, b] = edge.map(|i| &view.vertices.places[instance.first_vertex + i as usize]);
         let whole = a.w > 0.0 && b.w > 0.0;
         if whole && !(view.field.bends() && clip::may_bend(a, b, view.field)) {
             self.lines.push([a, b].map(End::of));
@@ -147,10 +147,10 @@ impl End {
 /// Whether a triangle is seen counter-clockwise: decided as coverage is, and before the lens where the triangle must
 /// be cut. One without area shows its back.
 fn faces_camera(view: &View<'_>, instance: &Instance, triangle: [u32; 3]) -> bool {
-    let vertices = triangle.map(|i| view.vertices[instance.first_vertex..].get(i as usize));
-    let [Some(a), Some(b), Some(c)] = vertices else { return false };
-    if a.w > 0.0 && b.w > 0.0 && c.w > 0.0 {
-        let [[x0, y0], [x1, y1], [x2, y2]] = [a, b, c].map(|v| v.snapped.map(i64::from));
+    let spots = triangle.map(|i| view.vertices.spots[instance.first_vertex..].get(i as usize));
+    let [Some(&a), Some(&b), Some(&c)] = spots else { return false };
+    if a != NO_SPOT && b != NO_SPOT && c != NO_SPOT {
+        let [[x0, y0], [x1, y1], [x2, y2]] = [a, b, c].map(|spot| spot.map(i64::from));
         return (x1 - x0) * (y2 - y0) < (x2 - x0) * (y1 - y0);
     }
     let mesh = &view.scene.models[instance.placed.model].mesh;

@@ -23,7 +23,16 @@ pub fn scene(mesh: Mesh, shading: Shading, cull_back: bool) -> Scene {
     let anchor = Anchor { family: Family::Tag36h11, id: None, side_mm: 100.0 };
     let to_marker = DAffine3::IDENTITY;
     let mesh = mesh.into();
-    let model = Model { name: "test".into(), mesh, anchor, to_marker, shading, cull_back, secondary: false };
+    let model = Model {
+        name: "test".into(),
+        mesh,
+        anchor,
+        to_marker,
+        shading,
+        cull_back,
+        secondary: false,
+        phantom: false,
+    };
     Scene { models: vec![model], ..Scene::default() }
 }
 
