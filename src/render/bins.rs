@@ -6,6 +6,7 @@
 //! records at once, large ones and those to be cut go the long way.
 
 use super::clip::{self, Corner};
+use super::shape::{CLUSTER, Frustum, Shape};
 use super::vertex::{NO_SPOT, Spot, Vertices, normal_matrix, unit};
 use super::{Instance, View};
 use crate::frame::Needs;
@@ -51,6 +52,8 @@ pub(super) struct Record {
 pub(super) struct Chunk {
     pub instance: usize,
     triangles: Range<usize>,
+    /// How many of them were looked at.
+    pub sorted: usize,
     columns: usize,
     /// A triangle over several tiles is one record in each.
     records: Vec<Record>,
@@ -71,6 +74,8 @@ struct Sorting<'a> {
     instance: Instance,
     mesh: &'a Mesh,
     spots: &'a [Spot],
+    shape: Option<&'a Shape>,
+    frustum: Frustum,
     /// The surface of all triangles, where there is but one and faces are not flat.
     plain: Option<u32>,
     /// Turns face normals, where faces are flat.
@@ -91,11 +96,18 @@ impl<'a> Sorting<'a> {
             instance,
             mesh: &model.mesh,
             spots,
+            shape: view.shapes.of(instance.placed.model),
+            frustum: instance.frustum,
             plain: (!flat && model.mesh.materials.is_empty()).then_some(instance.first_surface as u32),
             flat: flat.then(|| normal_matrix(&instance.placed.to_camera)),
             cull_back: model.cull_back || view.look.needs.includes(Needs::SILHOUETTE),
             reach: straight.min(SMALL),
         }
+    }
+
+    /// Whether any of the cluster with this triangle may be drawn.
+    fn may_show(&self, triangle: usize) -> bool {
+        self.shape.is_none_or(|shape| shape.cluster_may_show(triangle, &self.frustum, self.cull_back))
     }
 
     fn surface(&self, triangle: usize) -> u32 {
@@ -121,6 +133,7 @@ impl Chunk {
     /// Empties the chunk for these triangles; `length` is the most it may be given this frame.
     pub fn begin(&mut self, instance: usize, triangles: Range<usize>, length: usize, grid: TileGrid) {
         (self.instance, self.triangles, self.columns) = (instance, triangles, grid.columns());
+        self.sorted = 0;
         self.records.clear();
         self.records.reserve(2 * length);
         self.own.clear();
@@ -168,7 +181,18 @@ impl Chunk {
     /// Sorts the chunk's triangles into records and tiles.
     pub fn fill(&mut self, level: Level, view: &View<'_>) {
         let sorting = Sorting::new(view, view.instances[self.instance]);
-        dispatch!(level, simd => self.sort(simd, &sorting, self.triangles.clone()));
+        let Range { start, end } = self.triangles;
+        let mut first = start;
+        while first < end {
+            // as many clusters at once as there are side by side
+            let mut last = first;
+            while last < end && sorting.may_show(last) {
+                last = end.min(last / CLUSTER * CLUSTER + CLUSTER);
+            }
+            dispatch!(level, simd => self.sort(simd, &sorting, first..last));
+            self.sorted += last - first;
+            first = end.min(last / CLUSTER * CLUSTER + CLUSTER);
+        }
     }
 
     #[inline(always)]

@@ -132,6 +132,17 @@ impl Field {
         (px, py, inside & px.abs().simd_le(limit) & py.abs().simd_le(limit))
     }
 
+    /// Rays x/z and y/z that enclose the picture and what is up to `margin_px` outside it.
+    pub fn view(&self, margin_px: f64) -> (DVec2, DVec2) {
+        if self.distorted {
+            return (self.low, self.high); // nothing is drawn beyond
+        }
+        let Lens { size, focal, center, .. } = self.lens;
+        let margin = DVec2::splat(0.5 + margin_px);
+        let last = DVec2::new(size.width as f64 - 1.0, size.height as f64 - 1.0);
+        ((-margin - center) / focal, (last + margin - center) / focal)
+    }
+
     /// Bounds of x/z and y/z, drawn in by a hair so that points cut on a bound project.
     pub fn bounds(&self) -> (DVec2, DVec2) {
         let hair = (self.high - self.low) * 1e-9;

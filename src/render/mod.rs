@@ -19,10 +19,12 @@
 mod bins;
 mod clip;
 mod field;
+mod kept;
 mod particles;
 mod raster;
 mod resolve;
 mod shade;
+mod shape;
 mod silhouette;
 mod tile;
 mod vertex;
@@ -35,9 +37,11 @@ use crate::scene::{Model, Scene, Shading};
 use bins::Chunk;
 use field::Field;
 use glam::DAffine3;
+use kept::Kept;
 use particles::Particles;
 use rayon::prelude::*;
 use shade::{Kind, Palette, Surface};
+use shape::{CLUSTER, Frustum, Shapes};
 use silhouette::Silhouette;
 use tile::{Channels, Slot};
 use vertex::{Depths, Stand, Vertices};
@@ -84,6 +88,22 @@ pub struct Placed {
     pub to_camera: DAffine3,
 }
 
+/// What a frame took.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Work {
+    /// Frames drawn so far; one that would be as the last is not.
+    pub frames: u64,
+    /// Placed models of the last drawn frame that may be in view.
+    pub models: usize,
+    /// Their vertices.
+    pub vertices: usize,
+    /// Their triangles, without those of clusters that are not in view.
+    pub triangles: usize,
+}
+
+/// Pixels around the picture in which a triangle counts as in view: more than snapping moves it.
+const MARGIN_PX: f64 = 1.5;
+
 /// Which of the placed models are drawn.
 #[derive(Clone, Copy)]
 enum Part {
@@ -106,9 +126,11 @@ impl Part {
 /// Largest picture side: snapped coordinates of the picture stay far below the guard band.
 const MAX_SIDE: usize = 16384;
 
-/// Triangles in a chunk of small scenes; larger scenes have at most about `MAX_CHUNKS` larger chunks.
+/// Triangles in a chunk of small scenes; larger ones have about `MAX_CHUNKS` larger chunks, and the largest more of
+/// `MAX_CHUNK`.
 const CHUNK: usize = 512;
 const MAX_CHUNKS: usize = 64;
+const MAX_CHUNK: usize = 4096;
 
 /// Draws models; owns every buffer it needs, so that drawing allocates nothing after warm-up.
 pub struct Renderer {
@@ -125,6 +147,9 @@ pub struct Renderer {
     slots: Vec<Slot>,
     slot_of: Vec<u32>,
     silhouette: Silhouette,
+    shapes: Shapes,
+    kept: Kept,
+    work: Work,
     /// Draws the secondary models where they are apart.
     secondary: Option<Box<Renderer>>,
     particles: Particles,
@@ -136,6 +161,7 @@ pub struct Renderer {
 #[derive(Clone, Copy)]
 struct Instance {
     placed: Placed,
+    frustum: Frustum,
     first_vertex: usize,
     first_surface: usize,
 }
@@ -148,7 +174,7 @@ struct View<'a> {
     field: &'a Field,
     grid: TileGrid,
     instances: &'a [Instance],
-    surfaces: &'a [Surface],
+    shapes: &'a Shapes,
     vertices: &'a Vertices,
     channels: Channels,
     look: Look,
@@ -172,6 +198,9 @@ impl Renderer {
             slots: Vec::new(),
             slot_of: Vec::new(),
             silhouette: Silhouette::default(),
+            shapes: Shapes::default(),
+            kept: Kept::default(),
+            work: Work::default(),
             secondary: None,
             particles: Particles::default(),
             spare: None,
@@ -183,6 +212,16 @@ impl Renderer {
         &self.layer
     }
 
+    /// What the last drawn frame took; of secondary models apart nothing.
+    pub fn work(&self) -> Work {
+        self.work
+    }
+
+    /// Draws the next frame whatever it is.
+    pub fn restart(&mut self) {
+        self.kept.forget();
+    }
+
     /// Draws the placed models: only the products that `look` needs, only the tiles they touch.
     ///
     /// Depth comes with color even when it is not asked for, since it is the coverage mask. Equal depths
@@ -190,7 +229,8 @@ impl Renderer {
     /// that are not finite, not in range or without area draw nothing; a `placed` whose model does not
     /// exist, an unusable camera (near ≤ 0, far ≤ near, not finite, picture side above 16384 px) likewise.
     /// Straight edges that the lens bends are split until they are within `SPLIT_TOLERANCE_PX` of the
-    /// curve. Runs on rayon's current pool.
+    /// curve. Phantoms are not seen, they hide what is behind them. A frame that follows from the same scene, places,
+    /// camera and look as the last one is that one: nothing is drawn. Runs on rayon's current pool.
     pub fn draw(
         &mut self,
         scene: &Scene,
@@ -199,6 +239,10 @@ impl Renderer {
         look: impl Into<Look>,
     ) -> &Layer {
         let look = look.into();
+        if self.kept.same(scene, placed, camera, &look) {
+            return &self.layer;
+        }
+        self.work.frames += 1;
         // between frames the secondary models' layer is part of ours; to be drawn it goes back to its renderer
         if let (Some(mut layer), Some(renderer)) = (self.layer.secondary.take(), &mut self.secondary) {
             std::mem::swap(&mut *layer, &mut renderer.layer);
@@ -344,17 +388,29 @@ impl Renderer {
             slots,
             slot_of,
             silhouette,
+            shapes,
+            work,
             ..
         } = self;
         let Some(field) = field.as_ref() else { return (0, Channels::default()) };
+        shapes.learn(scene);
         instances.clear();
         let (mut vertex_count, mut triangle_count) = (0, 0);
-        for &placed in placed {
-            let Some(model) = scene.models.get(placed.model) else { continue };
-            if !part.holds(model) {
+        let wide = if look.needs.includes(Needs::SILHOUETTE) { look.line_width.max(0.0) } else { 0.0 };
+        // phantoms first: what they hide must be known
+        let of = |phantom: bool| {
+            placed.iter().filter_map(move |&placed| {
+                let model = scene.models.get(placed.model)?;
+                (model.phantom == phantom && part.holds(model)).then_some((placed, model))
+            })
+        };
+        for (placed, model) in of(true).chain(of(false)) {
+            let frustum = Frustum::new(placed.to_camera, camera, field, MARGIN_PX + wide);
+            if !shapes.of(placed.model).is_some_and(|shape| shape.may_show(&frustum)) {
                 continue;
             }
-            instances.push(Instance { placed, first_vertex: vertex_count, first_surface: surfaces.len() });
+            let (first_vertex, first_surface) = (vertex_count, surfaces.len());
+            instances.push(Instance { placed, frustum, first_vertex, first_surface });
             let shading = look.shading.unwrap_or(model.shading);
             Surface::push_all(placed.model, model, shading, &scene.light, surfaces);
             vertex_count += model.mesh.positions.len();
@@ -372,13 +428,12 @@ impl Renderer {
         }
         layer.extent = extent(depths, camera);
         let nothing = tile::nothing(camera.far);
-        let view =
-            View { scene, camera, field, grid, instances, surfaces, vertices, channels, look, nothing };
+        let view = View { scene, camera, field, grid, instances, shapes, vertices, channels, look, nothing };
         if look.needs.includes(Needs::SILHOUETTE) {
             silhouette.find(&view);
         }
 
-        let length = CHUNK.max(triangle_count.div_ceil(MAX_CHUNKS));
+        let length = triangle_count.div_ceil(MAX_CHUNKS).clamp(CHUNK, MAX_CHUNK).next_multiple_of(CLUSTER);
         let mut used_chunks = 0;
         for (k, instance) in view.instances.iter().enumerate() {
             let triangles = scene.models[instance.placed.model].mesh.triangles.len();
@@ -394,6 +449,9 @@ impl Renderer {
         let level = *level;
         chunks.par_iter_mut().with_max_len(1).for_each(|chunk| chunk.fill(level, &view));
 
+        work.models = view.instances.len();
+        work.vertices = vertex_count;
+        work.triangles = chunks.iter().map(|chunk| chunk.sorted).sum();
         let mut used = 0;
         for (tile, seen) in slot_of.iter_mut().enumerate() {
             *seen = u32::MAX;

@@ -12,7 +12,7 @@ use super::vertex::{Spot, Vertex};
 use super::{Instance, View};
 use crate::pixels::TILE;
 use crate::pixels::simd::{Level, dispatch};
-use fearless_simd::{Simd, prelude::*};
+use fearless_simd::{Simd, SimdBase, SimdFrom, i32x4, prelude::*};
 use glam::{Vec2, Vec3};
 
 /// Width of the strips of steep triangles, px.
@@ -77,7 +77,7 @@ fn draw_records<S: Simd, const PLAIN: bool>(simd: S, view: &View<'_>, chunks: &[
             }
             if (record.corners[0] | record.corners[1]) & (OWN | LARGE) == 0 {
                 let Some(triangle) = Triangle::new(&whole, record) else { continue };
-                let edges = Edges::small(&area, triangle.spots);
+                let edges = Edges::small(simd, &area, triangle.spots);
                 if draw_area::<S, PLAIN>(simd, &triangle, &area, &edges, None, slot) {
                     continue;
                 }
@@ -166,21 +166,22 @@ struct Edges<T> {
 }
 
 impl Edges<i32> {
-    /// Of a triangle less than 64 px across.
+    /// Of a triangle less than 64 px across: an edge a lane.
     #[inline(always)]
-    fn small(area: &Area, [a, b, c]: [Spot; 3]) -> Self {
-        let (x, y) = (area.first * 256, area.top * 256);
-        let (r0, d0, s0) = small_edge(x, y, a, b);
-        let (r1, d1, s1) = small_edge(x, y, b, c);
-        let (r2, d2, s2) = small_edge(x, y, c, a);
-        Edges { start: [s0, s1, s2], right: [r0, r1, r2], down: [d0, d1, d2] }
+    fn small<S: Simd>(simd: S, area: &Area, [a, b, c]: [Spot; 3]) -> Self {
+        let of = |v: [i32; 4]| i32x4::simd_from(simd, v);
+        let (x, y) = (of([a[0], b[0], c[0], 0]), of([a[1], b[1], c[1], 0]));
+        let (next_x, next_y) = (of([b[0], c[0], a[0], 0]), of([b[1], c[1], a[1], 0]));
+        let (right, down) = (y - next_y, next_x - x);
+        let (left, top) = (i32x4::splat(simd, area.first * 256), i32x4::splat(simd, area.top * 256));
+        let (zero, one) = (i32x4::splat(simd, 0), i32x4::splat(simd, 1));
+        // right above 0, or 0 and down above 0: by their sign, since small
+        let owned = (right + right + down.simd_gt(zero).select(one, zero)).simd_gt(zero);
+        let value = right * (left - x) + down * (top - y);
+        let start = (value - owned.select(zero, one)) >> 8;
+        let three = |v: i32x4<S>| [v[0], v[1], v[2]];
+        Edges { start: three(start), right: three(right), down: three(down) }
     }
-}
-
-#[inline(always)]
-fn small_edge(x: i32, y: i32, from: Spot, to: Spot) -> (i32, i32, i32) {
-    let (right, down) = (from[1] - to[1], to[0] - from[0]);
-    (right, down, (right * (x - from[0]) + down * (y - from[1]) - i32::from(!owned(right, down))) >> 8)
 }
 
 /// Whether pixel centers on an edge are inside, by its steps to the right and down. Top: to the right along the
@@ -567,11 +568,12 @@ impl<S: Simd> Run<S> {
                 return;
             }
             self.store(wins.select(before, behind.select(here, before2)), &mut slot.w2);
-            let firsts = slot.attributes.iter().skip(channels.normal_at());
+            let firsts = slot.attributes.iter_mut().skip(channels.normal_at());
             for ((slope, first), second) in others.iter().zip(firsts).zip(&mut slot.normal2) {
                 let (old, old2) = (self.load(simd, first), self.load(simd, second));
                 let new = self.value(simd, slope);
                 self.store(wins.select(old, behind.select(new, old2)), second);
+                self.store(wins.select(new, old), first);
             }
         }
         if !any {
@@ -585,7 +587,9 @@ impl<S: Simd> Run<S> {
             let new = S::f32s::simd_from(simd, light.start) + self.xs * light.right;
             self.store(wins.select(new, self.load(simd, plane)), plane);
         }
-        for (slope, plane) in others.iter().zip(planes) {
+        // the second layer has seen to the normals
+        let done = if channels.second { 3 } else { 0 };
+        for (slope, plane) in others.iter().zip(planes).skip(done) {
             self.store(wins.select(self.value(simd, slope), self.load(simd, plane)), plane);
         }
         if channels.surfaces {

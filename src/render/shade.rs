@@ -128,6 +128,11 @@ pub(super) fn shade_row<S: Simd>(
     depth: &mut [f32],
     out: [&mut [u8]; 3],
 ) {
+    if let ([surface], false) = (palette.surfaces, palette.channels.surfaces)
+        && let Some(gray) = surface.gray()
+    {
+        return gray_row(simd, palette, surface, gray, slot, row, depth, out);
+    }
     let mut far = [f32::INFINITY; TILE];
     let mut levels = [[0i32; TILE]; 3];
     let [reds, greens, blues] = &mut levels;
@@ -171,7 +176,54 @@ pub(super) fn shade_row<S: Simd>(
     }
 }
 
+/// The common case: one smooth surface without color.
+#[inline(always)]
+#[allow(clippy::too_many_arguments)]
+fn gray_row<S: Simd>(
+    simd: S,
+    palette: &Palette<'_>,
+    surface: &Surface,
+    gray: f32,
+    slot: &Slot,
+    row: usize,
+    depth: &mut [f32],
+    [r, g, b]: [&mut [u8]; 3],
+) {
+    let Some(light) = slot.attributes.first() else { return };
+    let (mut far, mut levels) = ([0.0; TILE], [0i32; TILE]);
+    let nothing = f32x8::splat(simd, palette.nothing);
+    let (zero, one) = (f32x8::splat(simd, 0.0), f32x8::splat(simd, 1.0));
+    let infinite = f32x8::splat(simd, f32::INFINITY);
+    let ambient = f32x8::splat(simd, surface.ambient);
+    let (rest, base) = (f32x8::splat(simd, 1.0 - surface.ambient), f32x8::splat(simd, gray));
+    let half = f32x8::splat(simd, 0.5);
+    for x in (0..TILE).step_by(RUN) {
+        let at = row * STRIDE + x;
+        let w = load(simd, &slot.w, at);
+        let covered = w.simd_gt(nothing);
+        let z = one / w;
+        covered.select(z, infinite).store_slice(&mut far[x..x + RUN]);
+        let light = ambient + rest * unit_range(simd, load(simd, light, at) * z);
+        covered.select(light * base + half, zero).to_int::<i32x8<S>>().store_slice(&mut levels[x..x + RUN]);
+    }
+    depth.copy_from_slice(&far[..depth.len()]);
+    let mut bytes = [0u8; TILE];
+    for (byte, &level) in bytes.iter_mut().zip(&levels) {
+        *byte = level as u8;
+    }
+    for out in [r, g, b] {
+        out.copy_from_slice(&bytes[..out.len()]);
+    }
+}
+
 impl Surface {
+    /// The base color of a smooth surface that has no other colors than grays.
+    fn gray(&self) -> Option<f32> {
+        let [r, g, b] = self.color;
+        let plain = self.kind == Kind::Smooth && self.texture.is_none() && !self.colored;
+        (plain && r == g && g == b).then_some(r)
+    }
+
     /// Levels of a run of pixels at these depths.
     #[inline(always)]
     fn shade<S: Simd>(
