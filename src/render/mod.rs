@@ -10,6 +10,8 @@
 //!    covered last time only are cleared.
 //! 6. `silhouette`: thick outlines are drawn over the depth, where they are asked for.
 //!
+//! `shape` and `kept` are for skipping: what is out of view, and a frame that would be the last one again.
+//!
 //! Apart from these, `particles` turns models into points for styles that ask for them.
 //!
 //! Coverage follows vertices snapped to 1/256 px with the top-left rule; depth and attributes come from the
@@ -22,6 +24,7 @@ mod field;
 mod kept;
 mod particles;
 mod raster;
+pub mod reference;
 mod resolve;
 mod shade;
 mod shape;
@@ -296,6 +299,9 @@ impl Renderer {
             }
         }
         let nothing = tile::nothing(camera.far);
+        if needs.includes(Needs::SILHOUETTE) && channels.phantoms {
+            self.silhouette.take_shield(&self.slots[..used], grid, size, nothing);
+        }
         let palette = Palette { scene, surfaces: &self.surfaces, channels, nothing };
         let Self { level, layer, slots, slot_of, previous, .. } = self;
         resolve::resolve(*level, layer, &palette, grid, slots, slot_of, previous);
