@@ -116,6 +116,7 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     let ms = pool.install(|| {
         let timed = if args.peel { outputs } else { Needs::COLOR.and(Needs::DEPTH) };
         let mut once = || {
+            renderer.restart();
             let start = Instant::now();
             renderer.draw(&scene, &placed, &camera, timed);
             start.elapsed().as_secs_f64() * 1e3
