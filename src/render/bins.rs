@@ -273,7 +273,7 @@ impl Chunk {
             let normal = view.vertices.normals.get(index).copied().unwrap_or_default();
             Corner {
                 point: instance.placed.to_camera.transform_point3(mesh.positions[c].as_dvec3()),
-                normal: DVec3::from_array(normal.map(f64::from)),
+                normal: DVec3::new(normal[0].into(), normal[1].into(), normal[2].into()),
                 intensity: f64::from(view.vertices.places[index].intensity),
                 uv: mesh.texcoords.get(c).map_or(DVec2::ZERO, |uv| uv.as_dvec2()),
                 color: mesh.colors.get(c).map_or(DVec3::ONE, |color| color.as_dvec3()),
@@ -287,7 +287,7 @@ impl Chunk {
             for seen in piece {
                 self.own.spots.push(seen.spot);
                 self.own.places.push(seen.vertex);
-                self.own.normals.push(seen.corner.normal.as_vec3().to_array());
+                self.own.normals.push(seen.corner.normal.as_vec3().extend(seen.vertex.intensity).to_array());
                 self.own_uv.push(seen.corner.uv.as_vec2());
                 self.own_colors.push(seen.corner.color.as_vec3());
             }

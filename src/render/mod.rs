@@ -20,6 +20,7 @@
 
 mod bins;
 mod clip;
+mod edges;
 mod field;
 mod kept;
 mod particles;

@@ -7,12 +7,13 @@
 //! in the same pass. Runs are as wide as the machine's vectors: no value depends on where they begin.
 
 use super::bins::{Chunk, LARGE, OWN, Record};
+use super::edges::{Area, Edges, Slope, Weights};
 use super::tile::{Channels, MOST, STRIDE, Slot};
-use super::vertex::{Spot, Vertex};
+use super::vertex::{Spot, Vertex, narrow};
 use super::{Instance, View};
 use crate::pixels::TILE;
 use crate::pixels::simd::{Level, dispatch};
-use fearless_simd::{Simd, SimdBase, SimdFrom, i32x4, prelude::*};
+use fearless_simd::{Simd, f64x4, prelude::*};
 use glam::{Vec2, Vec3};
 
 /// Width of the strips of steep triangles, px.
@@ -21,20 +22,23 @@ const STRIP: i32 = 8;
 const STEEP_DEPTH: f64 = 1.0;
 /// ... or the corners' weights by more than this.
 const STEEP_WEIGHTS: f64 = 16.0;
-/// Twice the area, px², below which a triangle counts as without any before snapping.
-const LEAST_AREA: f64 = 1e-200;
 /// A sliver: the corners' weights change by more than this in a pixel.
 const SLIVER: f64 = 32.0;
+
+/// The body is built for each of three cases: light alone; both layers, light or not; and anything.
+const PLAIN: u8 = 0;
+const BOTH: u8 = 1;
+const ANY: u8 = 2;
 
 /// Draws everything that touches the slot's tile.
 pub(super) fn draw_tile(level: Level, view: &View<'_>, chunks: &[Chunk], slot: &mut Slot) {
     slot.fit(view.channels);
     slot.clear(view.nothing);
-    let plain = Channels { light: true, ..Channels::default() };
-    if view.channels == plain {
-        dispatch!(level, simd => draw_records::<_, true>(simd, view, chunks, slot));
-    } else {
-        dispatch!(level, simd => draw_records::<_, false>(simd, view, chunks, slot));
+    let Channels { light, normals, uv, colors, surfaces, second, phantoms } = view.channels;
+    match (second, normals || !light, uv || colors || surfaces || phantoms) {
+        (false, false, false) => dispatch!(level, simd => draw_records::<_, PLAIN>(simd, view, chunks, slot)),
+        (true, _, false) => dispatch!(level, simd => draw_records::<_, BOTH>(simd, view, chunks, slot)),
+        _ => dispatch!(level, simd => draw_records::<_, ANY>(simd, view, chunks, slot)),
     }
     let rect = view.grid.rect(slot.tile);
     let mut rows = slot.w.chunks_exact(STRIDE).take(rect.y1 - rect.y0);
@@ -52,7 +56,7 @@ struct Pen<'a> {
 }
 
 #[inline(always)]
-fn draw_records<S: Simd, const PLAIN: bool>(simd: S, view: &View<'_>, chunks: &[Chunk], slot: &mut Slot) {
+fn draw_records<S: Simd, const MODE: u8>(simd: S, view: &View<'_>, chunks: &[Chunk], slot: &mut Slot) {
     let rect = view.grid.rect(slot.tile);
     let [left, top, right, bottom] = [rect.x0, rect.y0, rect.x1 - 1, rect.y1 - 1].map(|v| v as i32);
     for chunk in chunks {
@@ -78,19 +82,19 @@ fn draw_records<S: Simd, const PLAIN: bool>(simd: S, view: &View<'_>, chunks: &[
             if (record.corners[0] | record.corners[1]) & (OWN | LARGE) == 0 {
                 let Some(triangle) = Triangle::new(&whole, record) else { continue };
                 let edges = Edges::small(simd, &area, triangle.spots);
-                if draw_area::<S, PLAIN>(simd, &triangle, &area, &edges, None, slot) {
+                if draw_area::<S, MODE>(simd, &triangle, &area, &edges, None, slot) {
                     continue;
                 }
             }
             let pen = if record.corners[0] & OWN == 0 { &whole } else { &own };
-            draw_slowly::<S, PLAIN>(simd, pen, record, &area, slot);
+            draw_slowly::<S, MODE>(simd, pen, record, &area, slot);
         }
     }
 }
 
 /// Large triangles, those made by cutting and steep ones.
 #[inline(never)]
-fn draw_slowly<S: Simd, const PLAIN: bool>(
+fn draw_slowly<S: Simd, const MODE: u8>(
     simd: S,
     pen: &Pen<'_>,
     record: &Record,
@@ -106,7 +110,7 @@ fn draw_slowly<S: Simd, const PLAIN: bool>(
         };
         simd.vectorize(
             #[inline(always)]
-            || draw_area::<S, PLAIN>(simd, &triangle, area, &edges, wide, slot),
+            || draw_area::<S, MODE>(simd, &triangle, area, &edges, wide, slot),
         )
     };
     if draw(area) {
@@ -121,7 +125,7 @@ fn draw_slowly<S: Simd, const PLAIN: bool>(
 struct Source<'a> {
     spots: &'a [Spot],
     places: &'a [Vertex],
-    normals: &'a [[f32; 3]],
+    normals: &'a [[f32; 4]],
     uv: &'a [Vec2],
     colors: &'a [Vec3],
 }
@@ -143,153 +147,6 @@ impl<'a> Source<'a> {
         let own = &chunk.own;
         let (uv, colors) = (&chunk.own_uv, &chunk.own_colors);
         Self { spots: &own.spots, places: &own.places, normals: &own.normals, uv, colors }
-    }
-}
-
-/// The pixels of a tile that a triangle may cover, picture coordinates, inclusive.
-#[derive(Clone, Copy)]
-struct Area {
-    first: i32,
-    top: i32,
-    last: i32,
-    bottom: i32,
-}
-
-/// The three edge functions over an area, divided by 256 with the sign kept exact: a pixel center is a whole
-/// number of steps away, so only the constant has a fraction, and rounding it down changes no sign. `T` holds every
-/// value in the area.
-#[derive(Clone, Copy, Default)]
-struct Edges<T> {
-    start: [T; 3],
-    right: [T; 3],
-    down: [T; 3],
-}
-
-impl Edges<i32> {
-    /// Of a triangle less than 64 px across: an edge a lane.
-    #[inline(always)]
-    fn small<S: Simd>(simd: S, area: &Area, [a, b, c]: [Spot; 3]) -> Self {
-        let of = |v: [i32; 4]| i32x4::simd_from(simd, v);
-        let (x, y) = (of([a[0], b[0], c[0], 0]), of([a[1], b[1], c[1], 0]));
-        let (next_x, next_y) = (of([b[0], c[0], a[0], 0]), of([b[1], c[1], a[1], 0]));
-        let (right, down) = (y - next_y, next_x - x);
-        let (left, top) = (i32x4::splat(simd, area.first * 256), i32x4::splat(simd, area.top * 256));
-        let (zero, one) = (i32x4::splat(simd, 0), i32x4::splat(simd, 1));
-        // right above 0, or 0 and down above 0: by their sign, since small
-        let owned = (right + right + down.simd_gt(zero).select(one, zero)).simd_gt(zero);
-        let value = right * (left - x) + down * (top - y);
-        let start = (value - owned.select(zero, one)) >> 8;
-        let three = |v: i32x4<S>| [v[0], v[1], v[2]];
-        Edges { start: three(start), right: three(right), down: three(down) }
-    }
-}
-
-/// Whether pixel centers on an edge are inside, by its steps to the right and down. Top: to the right along the
-/// row; left: upwards (y down, inside on the right hand).
-#[inline(always)]
-fn owned<T: PartialOrd + Default>(right: T, down: T) -> bool {
-    right > T::default() || (right == T::default() && down > T::default())
-}
-
-impl Edges<i64> {
-    /// Of any triangle; `None` when some edge leaves the whole area outside.
-    fn new(area: &Area, spots: [Spot; 3]) -> Option<Self> {
-        // the last run may reach further
-        let columns = i64::from(area.last - area.first) + STRIDE as i64 - TILE as i64;
-        let rows = i64::from(area.bottom - area.top);
-        let (x, y) = (i64::from(area.first) * 256, i64::from(area.top) * 256);
-        let mut edges = Edges::default();
-        for k in 0..3 {
-            let [[x0, y0], [x1, y1]] = [spots[k], spots[(k + 1) % 3]].map(|spot| spot.map(i64::from));
-            let (right, down) = (y0 - y1, x1 - x0);
-            let start = (right * (x - x0) + down * (y - y0) - i64::from(!owned(right, down))) >> 8;
-            let (across, along) = (right * columns, down * rows);
-            if start + across.max(0) + along.max(0) < 0 {
-                return None;
-            }
-            // inside everywhere: stays 0
-            if start + across.min(0) + along.min(0) < 0 {
-                (edges.start[k], edges.right[k], edges.down[k]) = (start, right, down);
-            }
-        }
-        Some(edges)
-    }
-
-    /// The same in 32 bits, where every value in the area fits.
-    fn narrow(&self, area: &Area) -> Option<Edges<i32>> {
-        let columns = i64::from(area.last - area.first) + STRIDE as i64 - TILE as i64;
-        let rows = i64::from(area.bottom - area.top) + 1;
-        // an edge that changes sign in the area starts within its own change
-        let change = |k: usize| self.right[k].abs() * columns + self.down[k].abs() * rows;
-        let fits = (0..3).all(|k| change(k) < i64::from(i32::MAX));
-        let cut = |v: [i64; 3]| v.map(|v| v as i32);
-        fits.then(|| Edges { start: cut(self.start), right: cut(self.right), down: cut(self.down) })
-    }
-
-    /// Coverage of a run, a bit a pixel.
-    #[inline(never)]
-    fn inside(&self, x: i32, y: i32, count: usize) -> u64 {
-        let value = |k: usize, lane: usize| {
-            self.start[k] + self.right[k] * (i64::from(x) + lane as i64) + self.down[k] * i64::from(y)
-        };
-        let inside = |lane: usize| value(0, lane) | value(1, lane) | value(2, lane);
-        (0..count).fold(0, |bits, lane| bits | u64::from(inside(lane) >= 0) << lane)
-    }
-}
-
-/// Linear in x and y over the area: value at its first pixel center and steps.
-#[derive(Clone, Copy, Default)]
-struct Slope {
-    origin: f64,
-    right: f64,
-    down: f64,
-}
-
-impl Slope {
-    #[inline(always)]
-    fn at(&self, y: f64) -> f32 {
-        (self.origin + self.down * y) as f32
-    }
-}
-
-/// The unsnapped triangle's barycentric weights of corners 1 and 2.
-#[derive(Clone, Copy)]
-struct Weights([Slope; 2]);
-
-impl Weights {
-    #[inline(always)]
-    fn new(area: &Area, [a, b, c]: [&Vertex; 3]) -> Self {
-        let (abx, aby, acx, acy) = (b.x - a.x, b.y - a.y, c.x - a.x, c.y - a.y);
-        let doubled = abx * acy - acx * aby;
-        if doubled.abs() < LEAST_AREA {
-            // no area before snapping: the middle of the triangle stands for all of it
-            return Weights([Slope { origin: 1.0 / 3.0, right: 0.0, down: 0.0 }; 2]);
-        }
-        let inverse = 1.0 / doubled;
-        let (ox, oy) = (f64::from(area.first) - a.x, f64::from(area.top) - a.y);
-        let (right1, down1, right2, down2) = (acy * inverse, -acx * inverse, -aby * inverse, abx * inverse);
-        let l1 = Slope { origin: ox * right1 + oy * down1, right: right1, down: down1 };
-        let l2 = Slope { origin: ox * right2 + oy * down2, right: right2, down: down2 };
-        Weights([l1, l2])
-    }
-
-    /// The slope of a value with these corners.
-    #[inline(always)]
-    fn slope(&self, p: f64, q: f64, r: f64) -> Slope {
-        let Weights([l1, l2]) = self;
-        let (d1, d2) = (q - p, r - p);
-        Slope {
-            origin: p + l1.origin * d1 + l2.origin * d2,
-            right: l1.right * d1 + l2.right * d2,
-            down: l1.down * d1 + l2.down * d2,
-        }
-    }
-
-    /// How fast the weights change along a row, and along a column.
-    #[inline(always)]
-    fn steepness(&self) -> (f64, f64) {
-        let Weights([l1, l2]) = self;
-        (l1.right.abs() + l2.right.abs(), l1.down.abs() + l2.down.abs())
     }
 }
 
@@ -318,9 +175,9 @@ impl<'a> Triangle<'a> {
 const LANES: [i32; STRIDE - TILE] = [0, 1, 2, 3, 4, 5, 6, 7];
 
 /// Draws a triangle's pixels in the area; `false`, and nothing is drawn, where it is too wide for how steep it is.
-/// `wide` stands for `edges` where they do not fit. `PLAIN`: there is light and nothing else.
+/// `wide` stands for `edges` where they do not fit.
 #[inline(always)]
-fn draw_area<S: Simd, const PLAIN: bool>(
+fn draw_area<S: Simd, const MODE: u8>(
     simd: S,
     triangle: &Triangle<'_>,
     area: &Area,
@@ -331,8 +188,8 @@ fn draw_area<S: Simd, const PLAIN: bool>(
     let splat = |v: f32| S::f32s::simd_from(simd, v);
     let whole = |v: i32| S::i32s::simd_from(simd, v);
     let length = S::f32s::LEN as i32;
-    let [r0, r1, r2] = edges.right.map(whole);
-    let [d0, d1, d2] = edges.down.map(whole);
+    let (r0, r1, r2) = (whole(edges.right[0]), whole(edges.right[1]), whole(edges.right[2]));
+    let (d0, d1, d2) = (whole(edges.down[0]), whole(edges.down[1]), whole(edges.down[2]));
     let lanes = S::i32s::from_slice(simd, &LANES[..S::i32s::LEN]);
     let mut e0 = whole(edges.start[0]) + lanes * r0;
     let mut e1 = whole(edges.start[1]) + lanes * r1;
@@ -362,9 +219,13 @@ fn draw_area<S: Simd, const PLAIN: bool>(
         }
     }
     let pen = triangle.pen;
-    let light = if PLAIN || pen.channels.light { triangle.light(&weights) } else { Slope::default() };
+    let lit = MODE == PLAIN || (MODE == ANY && pen.channels.light);
+    let light = if lit { triangle.light(&weights) } else { Slope::default() };
+    let four = if MODE == BOTH { triangle.four(simd, &weights) } else { [f64x4::splat(simd, 0.0); 3] };
+    let right = narrow(simd, four[1]);
+    let four_right = [splat(right[0]), splat(right[1]), splat(right[2]), splat(right[3])];
     let others;
-    let others = if !PLAIN && pen.channels.count() > 1 {
+    let others = if MODE == ANY && pen.channels.count() > 1 {
         others = triangle.others(&weights);
         &others[..pen.channels.count() - usize::from(pen.channels.light)]
     } else {
@@ -401,8 +262,10 @@ fn draw_area<S: Simd, const PLAIN: bool>(
                 }
                 let light = Line { start: light_row as f32, right: light_right };
                 let run = Run { at: at + x as usize, inside, here, xs, y: y - area.top };
-                if PLAIN {
+                if MODE == PLAIN {
                     run.draw_plain(simd, light, slot);
+                } else if MODE == BOTH {
+                    run.draw_both(simd, &four, &four_right, triangle, slot);
                 } else if pen.phantom {
                     run.hide(simd, slot);
                 } else {
@@ -443,6 +306,14 @@ impl Triangle<'_> {
         )
     }
 
+    /// The slopes of normal and intensity.
+    #[inline(always)]
+    fn four<S: Simd>(&self, simd: S, weights: &Weights) -> [f64x4<S>; 3] {
+        let of = |i: usize| self.pen.source.normals.get(i).copied().unwrap_or_default();
+        let ([i, j, k], [a, b, c]) = (self.index, self.places);
+        weights.slopes_over_z(simd, [of(i), of(j), of(k)], [a.w, b.w, c.w])
+    }
+
     /// The slopes of all other attributes, in the order of the channels.
     #[inline(never)]
     fn others(&self, weights: &Weights) -> [Slope; MOST - 1] {
@@ -458,7 +329,7 @@ impl Triangle<'_> {
         };
         if channels.normals {
             let of = |i: usize| source.normals.get(i).copied().unwrap_or_default();
-            push(&of(i), &of(j), &of(k));
+            push(&of(i)[..3], &of(j)[..3], &of(k)[..3]);
         }
         if channels.uv {
             let of = |i: usize| source.uv.get(i).copied().unwrap_or_default().to_array();
@@ -525,6 +396,48 @@ impl<S: Simd> Run<S> {
         {
             self.store(wins.select(self.here, before), &mut slot.w);
             let new = S::f32s::simd_from(simd, light.start) + self.xs * light.right;
+            self.store(wins.select(new, self.load(simd, plane)), plane);
+        }
+    }
+
+    /// Where there are both layers and no more than light beside.
+    #[inline(always)]
+    fn draw_both(
+        &self,
+        simd: S,
+        [origin, _, down]: &[f64x4<S>; 3],
+        right: &[S::f32s; 4],
+        triangle: &Triangle<'_>,
+        slot: &mut Slot,
+    ) {
+        let (here, inside) = (self.here, self.inside);
+        let (before, before2) = (self.load(simd, &slot.w), self.load(simd, &slot.w2));
+        let wins = inside & here.simd_gt(before);
+        // a fragment behind the first may be the second; a new first makes the old one second
+        let behind = inside & here.simd_lt(before) & here.simd_gt(before2);
+        let any = wins.any_true();
+        if !any && behind.all_false() {
+            return;
+        }
+        let dy = f64x4::splat(simd, f64::from(self.y));
+        let start = narrow(simd, *origin + *down * dy);
+        self.store(wins.select(before, behind.select(here, before2)), &mut slot.w2);
+        self.store(wins.select(here, before), &mut slot.w);
+        let lit = triangle.pen.channels.light;
+        let (light, normals) = slot.attributes.split_at_mut(usize::from(lit));
+        for ((k, first), second) in normals.iter_mut().enumerate().zip(&mut slot.normal2) {
+            let new = S::f32s::simd_from(simd, start[k]) + self.xs * right[k];
+            let (old, old2) = (self.load(simd, first), self.load(simd, second));
+            self.store(wins.select(old, behind.select(new, old2)), second);
+            self.store(wins.select(new, old), first);
+        }
+        if any && let Some(plane) = light.first_mut() {
+            let face = triangle.record.face;
+            let new = if face >= 0.0 {
+                S::f32s::simd_from(simd, face)
+            } else {
+                S::f32s::simd_from(simd, start[3]) + self.xs * right[3]
+            };
             self.store(wins.select(new, self.load(simd, plane)), plane);
         }
     }

@@ -56,8 +56,8 @@ impl Vertex {
 pub(super) struct Vertices {
     pub spots: Vec<Spot>,
     pub places: Vec<Vertex>,
-    /// Unit normals in camera space; empty when no channel wants them.
-    pub normals: Vec<[f32; 3]>,
+    /// Unit normals in camera space, and intensity once more; empty when no channel wants them.
+    pub normals: Vec<[f32; 4]>,
 }
 
 /// Vertices that one task places.
@@ -68,7 +68,7 @@ impl Vertices {
     pub fn resize(&mut self, count: usize, channels: Channels) {
         self.spots.resize(count, NO_SPOT);
         self.places.resize(count, Vertex::default());
-        self.normals.resize(if channels.normals { count } else { 0 }, [0.0; 3]);
+        self.normals.resize(if channels.normals { count } else { 0 }, [0.0; 4]);
     }
 
     /// None, but with room for some.
@@ -132,7 +132,7 @@ pub(super) fn place(level: Level, stand: Stand<'_>, out: &mut Vertices, first: u
     let range = first..first + stand.mesh.positions.len();
     let spots = out.spots[range.clone()].par_chunks_mut(RUN);
     let places = out.places[range.clone()].par_chunks_mut(RUN);
-    let run = |(k, (spots, places)): (usize, (&mut [Spot], &mut [Vertex])), normals: &mut [[f32; 3]]| dispatch!(level, simd => place_run(simd, &stand, k * RUN, spots, places, normals));
+    let run = |(k, (spots, places)): (usize, (&mut [Spot], &mut [Vertex])), normals: &mut [[f32; 4]]| dispatch!(level, simd => place_run(simd, &stand, k * RUN, spots, places, normals));
     let both = spots.zip(places).enumerate();
     if out.normals.is_empty() {
         return both.map(|part| run(part, &mut [])).reduce(|| Depths::NONE, Depths::join);
@@ -154,7 +154,7 @@ fn place_run<S: Simd>(
     first: usize,
     spots: &mut [Spot],
     places: &mut [Vertex],
-    normals: &mut [[f32; 3]],
+    normals: &mut [[f32; 4]],
 ) -> Depths {
     let m = &stand.to_camera.matrix3;
     let turn = normal_matrix(stand.to_camera);
@@ -205,7 +205,7 @@ fn place_run<S: Simd>(
                 narrow(simd, ny).store_slice(&mut b);
                 narrow(simd, nz).store_slice(&mut c);
                 for (k, normal) in normals.iter_mut().enumerate() {
-                    *normal = [a[k], b[k], c[k]];
+                    *normal = [a[k], b[k], c[k], intensity[k]];
                 }
             }
         }
@@ -264,13 +264,13 @@ fn turned<S: Simd>(simd: S, m: &DMat3, [x, y, z]: Points<S>) -> Points<S> {
 }
 
 #[inline(always)]
-fn widen<S: Simd>(simd: S, v: [f32; BATCH]) -> f64x4<S> {
+pub(super) fn widen<S: Simd>(simd: S, v: [f32; BATCH]) -> f64x4<S> {
     let (low, high) = simd.widen_f32x4(f32x4::simd_from(simd, v));
     simd.combine_f64x2(low, high)
 }
 
 #[inline(always)]
-fn narrow<S: Simd>(simd: S, v: f64x4<S>) -> f32x4<S> {
+pub(super) fn narrow<S: Simd>(simd: S, v: f64x4<S>) -> f32x4<S> {
     let (low, high) = simd.split_f64x4(v);
     simd.narrow_f64x2(low, high)
 }
@@ -320,7 +320,8 @@ mod tests {
                     let bits = |v: Vertex| ([v.x, v.y, v.w].map(f64::to_bits), v.intensity.to_bits());
                     assert_eq!(out.spots[k], spot, "vertex {k} {}", simd::name(level));
                     assert_eq!(bits(out.places[k]), bits(vertex), "vertex {k} {}", simd::name(level));
-                    assert_eq!(Vec3::from(out.normals[k]), normal.as_vec3(), "vertex {k}");
+                    assert_eq!(Vec3::from_slice(&out.normals[k]), normal.as_vec3(), "vertex {k}");
+                    assert_eq!(out.normals[k][3], vertex.intensity, "vertex {k}");
                 }
                 assert_eq!(
                     (depths.least, depths.most, depths.cut),
