@@ -280,12 +280,11 @@ impl Chunk {
             }
         });
         clip::cut(cut, view.camera.near, view.field, &mut |piece| {
-            let Some((wound, bounds)) = shape(piece.each_ref().map(|seen| seen.spot), sorting) else {
+            let Some((wound, bounds)) = shape(piece.each_ref().map(|seen| seen.vertex.spot), sorting) else {
                 return;
             };
-            let first = self.own.spots.len() as u32;
+            let first = self.own.places.len() as u32;
             for seen in piece {
-                self.own.spots.push(seen.spot);
                 self.own.places.push(seen.vertex);
                 self.own.normals.push(seen.corner.normal.as_vec3().extend(seen.vertex.intensity).to_array());
                 self.own_uv.push(seen.corner.uv.as_vec2());

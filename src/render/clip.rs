@@ -3,7 +3,7 @@
 //! triangles sharing an edge cut it at the same bits.
 
 use super::field::{Field, SPLIT_TOLERANCE_PX};
-use super::vertex::{SUBPIXELS, Spot, Vertex};
+use super::vertex::{SUBPIXELS, Vertex};
 use glam::{DVec2, DVec3};
 
 /// Halvings of an edge at most: at 2^-12 of its length every edge in a picture is short.
@@ -41,9 +41,9 @@ impl Corner {
 
     /// Put on the picture; `None` outside near plane and field.
     fn project(&self, near: f64, field: &Field) -> Option<Seen> {
-        let (mut vertex, spot) = Vertex::project(self.point, near, field);
+        let mut vertex = Vertex::project(self.point, near, field);
         vertex.intensity = self.intensity as f32;
-        (vertex.w > 0.0).then_some(Seen { corner: *self, vertex, spot })
+        (vertex.w > 0.0).then_some(Seen { corner: *self, vertex })
     }
 }
 
@@ -52,7 +52,6 @@ impl Corner {
 pub(super) struct Seen {
     pub corner: Corner,
     pub vertex: Vertex,
-    pub spot: Spot,
 }
 
 /// A triangle cut by near plane and field: a convex polygon of at most 3 + 5 corners.

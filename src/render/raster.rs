@@ -80,8 +80,8 @@ fn draw_records<S: Simd, const MODE: u8>(simd: S, view: &View<'_>, chunks: &[Chu
                 continue;
             }
             if (record.corners[0] | record.corners[1]) & (OWN | LARGE) == 0 {
-                let Some(triangle) = Triangle::new(&whole, record) else { continue };
-                let edges = Edges::small(simd, &area, triangle.spots);
+                let Some(triangle) = Triangle::new(&whole, record, record.corners) else { continue };
+                let edges = Edges::small(simd, &area, triangle.spots());
                 if draw_area::<S, MODE>(simd, &triangle, &area, &edges, None, slot) {
                     continue;
                 }
@@ -101,9 +101,10 @@ fn draw_slowly<S: Simd, const MODE: u8>(
     area: &Area,
     slot: &mut Slot,
 ) {
-    let Some(triangle) = Triangle::new(pen, record) else { return };
+    let [a, b, c] = record.corners;
+    let Some(triangle) = Triangle::new(pen, record, [a & !OWN, b & !LARGE, c]) else { return };
     let mut draw = |area: &Area| {
-        let Some(exact) = Edges::new(area, triangle.spots) else { return true };
+        let Some(exact) = Edges::new(area, triangle.spots()) else { return true };
         let (edges, wide) = match exact.narrow(area) {
             Some(edges) => (edges, None),
             None => (Edges::default(), Some(&exact)),
@@ -123,7 +124,6 @@ fn draw_slowly<S: Simd, const MODE: u8>(
 
 /// Where the corners of records are: the vertices of an instance, or those a chunk made by cutting.
 struct Source<'a> {
-    spots: &'a [Spot],
     places: &'a [Vertex],
     normals: &'a [[f32; 4]],
     uv: &'a [Vec2],
@@ -135,7 +135,6 @@ impl<'a> Source<'a> {
         let mesh = &view.scene.models[instance.placed.model].mesh;
         let (first, vertices) = (instance.first_vertex, view.vertices);
         Self {
-            spots: &vertices.spots[first..],
             places: &vertices.places[first..],
             normals: vertices.normals.get(first..).unwrap_or_default(),
             uv: &mesh.texcoords,
@@ -146,7 +145,7 @@ impl<'a> Source<'a> {
     fn of_chunk(chunk: &'a Chunk) -> Self {
         let own = &chunk.own;
         let (uv, colors) = (&chunk.own_uv, &chunk.own_colors);
-        Self { spots: &own.spots, places: &own.places, normals: &own.normals, uv, colors }
+        Self { places: &own.places, normals: &own.normals, uv, colors }
     }
 }
 
@@ -155,19 +154,22 @@ struct Triangle<'a> {
     pen: &'a Pen<'a>,
     record: &'a Record,
     index: [usize; 3],
-    spots: [Spot; 3],
     places: [&'a Vertex; 3],
 }
 
 impl<'a> Triangle<'a> {
+    /// `corners` are the record's without their marks.
     #[inline(always)]
-    fn new(pen: &'a Pen<'a>, record: &'a Record) -> Option<Self> {
-        let [a, b, c] = record.corners;
-        let [a, b, c] = [(a & !OWN) as usize, (b & !LARGE) as usize, c as usize];
-        let Source { spots, places, .. } = &pen.source;
-        let spots = [*spots.get(a)?, *spots.get(b)?, *spots.get(c)?];
-        let places = [places.get(a)?, places.get(b)?, places.get(c)?];
-        Some(Self { pen, record, index: [a, b, c], spots, places })
+    fn new(pen: &'a Pen<'a>, record: &'a Record, corners: [u32; 3]) -> Option<Self> {
+        let index = [corners[0] as usize, corners[1] as usize, corners[2] as usize];
+        let places = pen.source.places;
+        let places = [places.get(index[0])?, places.get(index[1])?, places.get(index[2])?];
+        Some(Self { pen, record, index, places })
+    }
+
+    #[inline(always)]
+    fn spots(&self) -> [Spot; 3] {
+        [self.places[0].spot, self.places[1].spot, self.places[2].spot]
     }
 }
 

@@ -1,6 +1,6 @@
 //! Vertices: mesh space → camera space → picture, snapped and lit, four at a time, all in f64.
 //!
-//! What the triangles' sorting reads, the snapped `Spot`, lies apart from what only drawn triangles read. Every
+//! What the triangles' sorting reads, the snapped `Spot`, stands once more apart from what only drawn triangles read. Every
 //! operation is that of [`Vertex::project`] and [`lit`], so that a vertex has the same bits wherever it comes from.
 
 use super::field::Field;
@@ -21,7 +21,7 @@ pub(super) type Spot = [i32; 2];
 pub(super) const NO_SPOT: Spot = [i32::MIN; 2];
 
 /// A vertex before the lens.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Vertex {
     /// Picture position, px.
     pub x: f64,
@@ -31,13 +31,21 @@ pub(super) struct Vertex {
     pub w: f64,
     /// max(0, n·L) in 0..1.
     pub intensity: f32,
+    /// Its place snapped, or `NO_SPOT`.
+    pub spot: Spot,
+}
+
+impl Default for Vertex {
+    fn default() -> Self {
+        Self { x: 0.0, y: 0.0, w: 0.0, intensity: 0.0, spot: NO_SPOT }
+    }
 }
 
 impl Vertex {
-    /// Puts a camera-space point on the picture; `NO_SPOT` leaves `w` at 0 (to be cut) or NaN.
+    /// Puts a camera-space point on the picture; without a spot `w` stays 0 (to be cut) or is NaN.
     #[inline]
-    pub fn project(point: DVec3, near: f64, field: &Field) -> (Self, Spot) {
-        let nowhere = |w| (Self { w, ..Self::default() }, NO_SPOT);
+    pub fn project(point: DVec3, near: f64, field: &Field) -> Self {
+        let nowhere = |w| Self { w, ..Self::default() };
         if !point.is_finite() {
             return nowhere(f64::NAN);
         }
@@ -47,7 +55,7 @@ impl Vertex {
         let w = 1.0 / point.z;
         let Some(px) = field.project(point.x * w, point.y * w) else { return nowhere(0.0) };
         let spot = [px.x, px.y].map(|v| (v * SUBPIXELS + 0.5).floor() as i32);
-        (Self { x: px.x, y: px.y, w, intensity: 0.0 }, spot)
+        Self { x: px.x, y: px.y, w, intensity: 0.0, spot }
     }
 }
 
@@ -213,7 +221,7 @@ fn place_run<S: Simd>(
         for (k, (spot, place)) in spots[at..].iter_mut().zip(&mut places[at..]).take(BATCH).enumerate() {
             let snapped = [sx[k].to_bits() as i32, sy[k].to_bits() as i32];
             *spot = if seen >> k & 1 == 1 { snapped } else { NO_SPOT };
-            *place = Vertex { x: x[k], y: y[k], w: w[k], intensity: intensity[k] };
+            *place = Vertex { x: x[k], y: y[k], w: w[k], intensity: intensity[k], spot: *spot };
         }
         if counted < BATCH || seen != 15 {
             for &w in &w[..counted] {
@@ -310,7 +318,7 @@ mod tests {
                 let mut expected = Depths::NONE;
                 for (k, position) in mesh.positions.iter().enumerate() {
                     let point = to_camera.transform_point3(position.as_dvec3());
-                    let (mut vertex, spot) = Vertex::project(point, 0.5, &field);
+                    let mut vertex = Vertex::project(point, 0.5, &field);
                     let normal = mesh.normals.get(k).copied().unwrap_or_default().as_dvec3();
                     let normal = unit(normal_matrix(&to_camera) * normal);
                     vertex.intensity = normal.dot(light.as_dvec3()).max(0.0) as f32;
@@ -318,7 +326,8 @@ mod tests {
                     let depth = if w > 0.0 { Depths { least: w, most: w, cut: false } } else { Depths::NONE };
                     expected = expected.join(Depths { cut: w == 0.0, ..depth });
                     let bits = |v: Vertex| ([v.x, v.y, v.w].map(f64::to_bits), v.intensity.to_bits());
-                    assert_eq!(out.spots[k], spot, "vertex {k} {}", simd::name(level));
+                    assert_eq!(out.spots[k], vertex.spot, "vertex {k} {}", simd::name(level));
+                    assert_eq!(out.places[k].spot, vertex.spot, "vertex {k} {}", simd::name(level));
                     assert_eq!(bits(out.places[k]), bits(vertex), "vertex {k} {}", simd::name(level));
                     assert_eq!(Vec3::from_slice(&out.normals[k]), normal.as_vec3(), "vertex {k}");
                     assert_eq!(out.normals[k][3], vertex.intensity, "vertex {k}");
