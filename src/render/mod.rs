@@ -10,7 +10,7 @@
 //!    covered last time only are cleared.
 //! 6. `silhouette`: thick outlines are drawn over the depth, where they are asked for.
 //!
-//! `shape` and `kept` are for skipping: what is out of view, and a frame that would be the last one again.
+//! `stages` runs 1 to 4 and owns what they need. `shape` and `kept` are for skipping: what is out of view, and a frame that would be the last one again.
 //!
 //! Apart from these, `particles` turns models into points for styles that ask for them.
 //!
@@ -30,6 +30,7 @@ mod resolve;
 mod shade;
 mod shape;
 mod silhouette;
+mod stages;
 mod tile;
 mod vertex;
 
@@ -38,17 +39,12 @@ use crate::geometry::Lens;
 use crate::pixels::simd::Level;
 use crate::pixels::{Size, TILE, TileGrid, TileSet};
 use crate::scene::{Model, Scene, Shading};
-use bins::Chunk;
 use field::Field;
 use glam::DAffine3;
 use kept::Kept;
 use particles::Particles;
-use rayon::prelude::*;
-use shade::{Kind, Palette, Surface};
-use shape::{CLUSTER, Frustum, Shapes};
 use silhouette::Silhouette;
-use tile::{Channels, Slot};
-use vertex::{Depths, Stand, Vertices};
+use stages::{Instance, Shot, Stages, View};
 
 pub use particles::Scatter;
 
@@ -105,9 +101,6 @@ pub struct Work {
     pub triangles: usize,
 }
 
-/// Pixels around the picture in which a triangle counts as in view: more than snapping moves it.
-const MARGIN_PX: f64 = 1.5;
-
 /// Which of the placed models are drawn.
 #[derive(Clone, Copy)]
 enum Part {
@@ -130,12 +123,6 @@ impl Part {
 /// Largest picture side: snapped coordinates of the picture stay far below the guard band.
 const MAX_SIDE: usize = 16384;
 
-/// Triangles in a chunk of small scenes; larger ones have about `MAX_CHUNKS` larger chunks, and the largest more of
-/// `MAX_CHUNK`.
-const CHUNK: usize = 512;
-const MAX_CHUNKS: usize = 64;
-const MAX_CHUNK: usize = 4096;
-
 /// Draws models; owns every buffer it needs, so that drawing allocates nothing after warm-up.
 pub struct Renderer {
     level: Level,
@@ -144,14 +131,9 @@ pub struct Renderer {
     shape: Option<(Size, Needs)>,
     previous: TileSet,
     field: Option<Field>,
-    vertices: Vertices,
-    instances: Vec<Instance>,
-    surfaces: Vec<Surface>,
-    chunks: Vec<Chunk>,
-    slots: Vec<Slot>,
+    stages: Stages,
     slot_of: Vec<u32>,
     silhouette: Silhouette,
-    shapes: Shapes,
     kept: Kept,
     work: Work,
     /// Draws the secondary models where they are apart.
@@ -159,31 +141,6 @@ pub struct Renderer {
     particles: Particles,
     /// Where its layer goes when it is done.
     spare: Option<Box<Layer>>,
-}
-
-/// One placed model of this frame: where its vertices, surfaces and chunks are.
-#[derive(Clone, Copy)]
-struct Instance {
-    placed: Placed,
-    frustum: Frustum,
-    first_vertex: usize,
-    first_surface: usize,
-}
-
-/// What all stages of one `draw` share.
-#[derive(Clone, Copy)]
-struct View<'a> {
-    scene: &'a Scene,
-    camera: &'a Camera,
-    field: &'a Field,
-    grid: TileGrid,
-    instances: &'a [Instance],
-    shapes: &'a Shapes,
-    vertices: &'a Vertices,
-    channels: Channels,
-    look: Look,
-    /// 1/z that stands for no surface.
-    nothing: f32,
 }
 
 impl Renderer {
@@ -195,14 +152,9 @@ impl Renderer {
             shape: None,
             previous: TileSet::default(),
             field: None,
-            vertices: Vertices::default(),
-            instances: Vec::new(),
-            surfaces: Vec::new(),
-            chunks: Vec::new(),
-            slots: Vec::new(),
+            stages: Stages::default(),
             slot_of: Vec::new(),
             silhouette: Silhouette::default(),
-            shapes: Shapes::default(),
             kept: Kept::default(),
             work: Work::default(),
             secondary: None,
@@ -283,29 +235,27 @@ impl Renderer {
         let usable = camera.near > 0.0 && camera.far > camera.near && camera.far.is_finite();
         let drawn = size.area() > 0 && size.width.max(size.height) <= MAX_SIDE;
         let drawn = drawn && usable && needs != Needs::NOTHING;
-        let (mut used, mut channels) = (0, Channels::default());
-        self.surfaces.clear();
+        self.stages.clear();
         if drawn {
             if self.field.as_ref().is_none_or(|field| *field.lens() != camera.lens) {
                 self.field = Some(Field::new(camera.lens));
             }
             if needs.without(Needs::PARTICLES) != Needs::NOTHING {
-                (used, channels) = self.rasterise(scene, placed, camera, grid, look, part);
+                self.rasterise(scene, placed, camera, grid, look, part);
             }
         }
-        for (k, slot) in self.slots[..used].iter().enumerate() {
+        for (k, slot) in self.stages.slots().iter().enumerate() {
             if slot.covered {
                 self.layer.touched.insert(slot.tile);
                 self.slot_of[slot.tile] = k as u32;
             }
         }
-        let nothing = tile::nothing(camera.far);
-        if needs.includes(Needs::SILHOUETTE) && channels.phantoms {
-            self.silhouette.take_shield(&self.slots[..used], grid, size, nothing);
+        let Self { level, layer, stages, slot_of, previous, silhouette, .. } = self;
+        let palette = stages.palette(scene, camera);
+        if needs.includes(Needs::SILHOUETTE) && palette.channels.phantoms {
+            silhouette.take_shield(stages.slots(), grid, size, palette.nothing);
         }
-        let palette = Palette { scene, surfaces: &self.surfaces, channels, nothing };
-        let Self { level, layer, slots, slot_of, previous, .. } = self;
-        resolve::resolve(*level, layer, &palette, grid, slots, slot_of, previous);
+        resolve::resolve(*level, layer, &palette, grid, stages.slots(), slot_of, previous);
         if needs.includes(Needs::SILHOUETTE) {
             self.silhouette.draw(&mut self.layer, grid, &self.previous, look.line_width, camera.far);
         }
@@ -345,8 +295,7 @@ impl Renderer {
         let grid = TileGrid::new(size);
         self.layer.touched.reset(grid);
         self.previous.reset(grid);
-        let tiles = if size.width.max(size.height) <= MAX_SIDE { grid.count() } else { 0 };
-        self.slots.resize_with(tiles, Slot::default);
+        self.stages.resize(if size.width.max(size.height) <= MAX_SIDE { grid.count() } else { 0 });
         self.shape = Some((size, needs));
     }
 
@@ -374,7 +323,7 @@ impl Renderer {
         }
     }
 
-    /// Steps 1 to 4; returns how many slots hold tiles, and what of their pixels.
+    /// Steps 1 to 4.
     fn rasterise(
         &mut self,
         scene: &Scene,
@@ -383,125 +332,13 @@ impl Renderer {
         grid: TileGrid,
         look: Look,
         part: Part,
-    ) -> (usize, Channels) {
-        let Self {
-            level,
-            layer,
-            field,
-            vertices,
-            instances,
-            surfaces,
-            chunks,
-            slots,
-            slot_of,
-            silhouette,
-            shapes,
-            work,
-            ..
-        } = self;
-        let Some(field) = field.as_ref() else { return (0, Channels::default()) };
-        shapes.learn(scene);
-        instances.clear();
-        let (mut vertex_count, mut triangle_count) = (0, 0);
-        let wide = if look.needs.includes(Needs::SILHOUETTE) { look.line_width.max(0.0) } else { 0.0 };
-        // phantoms first: what they hide must be known
-        let of = |phantom: bool| {
-            placed.iter().filter_map(move |&placed| {
-                let model = scene.models.get(placed.model)?;
-                (model.phantom == phantom && part.holds(model)).then_some((placed, model))
-            })
-        };
-        for (placed, model) in of(true).chain(of(false)) {
-            let frustum = Frustum::new(placed.to_camera, camera, field, MARGIN_PX + wide);
-            if !shapes.of(placed.model).is_some_and(|shape| shape.may_show(&frustum)) {
-                continue;
-            }
-            let (first_vertex, first_surface) = (vertex_count, surfaces.len());
-            instances.push(Instance { placed, frustum, first_vertex, first_surface });
-            let shading = look.shading.unwrap_or(model.shading);
-            Surface::push_all(placed.model, model, shading, &scene.light, surfaces);
-            vertex_count += model.mesh.positions.len();
-            triangle_count += model.mesh.triangles.len();
-        }
-        let channels = channels(look.needs, surfaces);
-        vertices.resize(vertex_count, channels);
-        let mut depths = Depths::NONE;
-        for instance in instances.iter() {
-            let mesh = &scene.models[instance.placed.model].mesh;
-            let (to_camera, near, light) = (&instance.placed.to_camera, camera.near, scene.light.direction);
-            let lit = channels.light || channels.normals;
-            let stand = Stand { mesh, to_camera, near, field, light, lit };
-            depths = depths.join(vertex::place(*level, stand, vertices, instance.first_vertex));
-        }
-        layer.extent = extent(depths, camera);
-        let nothing = tile::nothing(camera.far);
-        let view = View { scene, camera, field, grid, instances, shapes, vertices, channels, look, nothing };
-        if look.needs.includes(Needs::SILHOUETTE) {
-            silhouette.find(&view);
-        }
-
-        let length = triangle_count.div_ceil(MAX_CHUNKS).clamp(CHUNK, MAX_CHUNK).next_multiple_of(CLUSTER);
-        let mut used_chunks = 0;
-        for (k, instance) in view.instances.iter().enumerate() {
-            let triangles = scene.models[instance.placed.model].mesh.triangles.len();
-            for first in (0..triangles).step_by(length) {
-                if used_chunks == chunks.len() {
-                    chunks.push(Chunk::default());
-                }
-                chunks[used_chunks].begin(k, first..triangles.min(first + length), length, grid);
-                used_chunks += 1;
-            }
-        }
-        let chunks = &mut chunks[..used_chunks];
-        let level = *level;
-        chunks.par_iter_mut().with_max_len(1).for_each(|chunk| chunk.fill(level, &view));
-
-        work.models = view.instances.len();
-        work.vertices = vertex_count;
-        work.triangles = chunks.iter().map(|chunk| chunk.sorted).sum();
-        let mut used = 0;
-        for (tile, seen) in slot_of.iter_mut().enumerate() {
-            *seen = u32::MAX;
-            let (column, row) = (tile % grid.columns(), tile / grid.columns());
-            if chunks.iter().any(|chunk| chunk.reaches(tile, column, row)) {
-                slots[used].tile = tile;
-                used += 1;
-            }
-        }
-        let chunks = &*chunks;
-        slots[..used].par_iter_mut().with_max_len(1).for_each(|slot| {
-            raster::draw_tile(level, &view, chunks, slot);
-        });
-        (used, channels)
+    ) {
+        let Self { level, layer, field, stages, silhouette, work, .. } = self;
+        let Some(field) = field.as_ref() else { return };
+        let shot = Shot { scene, camera, field, grid, look };
+        let lines = look.needs.includes(Needs::SILHOUETTE).then_some(silhouette);
+        let (extent, done) = stages.run(*level, &shot, placed, part, lines);
+        layer.extent = extent;
+        *work = Work { frames: work.frames, ..done };
     }
-}
-
-/// What of a pixel these products of these surfaces are made from.
-fn channels(needs: Needs, surfaces: &[Surface]) -> Channels {
-    let color = needs.includes(Needs::COLOR);
-    let second = needs.includes(Needs::SECOND_LAYER);
-    let any = |what: fn(&Surface) -> bool| surfaces.iter().any(what);
-    Channels {
-        light: color && any(|s| matches!(s.kind, Kind::Smooth | Kind::Flat | Kind::Toon)),
-        normals: second || needs.includes(Needs::NORMAL) || (color && any(|s| s.kind == Kind::ThreeSteps)),
-        uv: color && any(Surface::is_textured),
-        colors: color && any(Surface::is_colored),
-        surfaces: color && surfaces.len() > 1,
-        second,
-        phantoms: any(|s| s.kind == Kind::Phantom),
-    }
-}
-
-/// Nearest and farthest camera z; vertices that must be cut count as on the near plane. The first is the larger when
-/// there are none.
-fn extent(depths: Depths, camera: &Camera) -> [f32; 2] {
-    let Depths { least, most, cut } = depths;
-    let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
-    if most > 0.0 {
-        (low, high) = (1.0 / most, 1.0 / least);
-    }
-    if cut {
-        (low, high) = (low.min(camera.near), high.max(camera.near));
-    }
-    [low.max(camera.near) as f32, high.min(camera.far) as f32]
 }

@@ -32,8 +32,7 @@ const ANY: u8 = 2;
 
 /// Draws everything that touches the slot's tile.
 pub(super) fn draw_tile(level: Level, view: &View<'_>, chunks: &[Chunk], slot: &mut Slot) {
-    slot.fit(view.channels);
-    slot.clear(view.nothing);
+    slot.clear(view.channels, view.nothing);
     let Channels { light, normals, uv, colors, surfaces, second, phantoms } = view.channels;
     match (second, normals || !light, uv || colors || surfaces || phantoms) {
         (false, false, false) => dispatch!(level, simd => draw_records::<_, PLAIN>(simd, view, chunks, slot)),

@@ -47,6 +47,19 @@ impl Channels {
         self.uv_at() + if self.uv { 2 } else { 0 }
     }
 
+    /// Both.
+    pub fn join(self, other: Self) -> Self {
+        Self {
+            light: self.light | other.light,
+            normals: self.normals | other.normals,
+            uv: self.uv | other.uv,
+            colors: self.colors | other.colors,
+            surfaces: self.surfaces | other.surfaces,
+            second: self.second | other.second,
+            phantoms: self.phantoms | other.phantoms,
+        }
+    }
+
     /// How many attributes there are.
     pub fn count(self) -> usize {
         self.color_at() + if self.colors { 3 } else { 0 }
@@ -62,9 +75,9 @@ pub(super) struct Slot {
     pub covered: bool,
     /// 1/z of the nearest surface, `nothing` where there is none.
     pub w: Vec<f32>,
-    /// Its attributes over z, in the order of `Channels`; unspecified where there is no surface.
+    /// Its attributes over z, in the order of the frame's `Channels`; unspecified where there is no surface.
     pub attributes: Vec<Vec<f32>>,
-    /// Its index among the frame's surfaces; empty where there is only one.
+    /// Its index among the frame's surfaces; unspecified where there is only one.
     pub surface: Vec<i32>,
     /// 1/z of the second-nearest surface, `nothing` where there is none.
     pub w2: Vec<f32>,
@@ -75,7 +88,7 @@ pub(super) struct Slot {
 }
 
 impl Slot {
-    /// Allocates what the frame keeps.
+    /// Allocates what frames may keep.
     pub fn fit(&mut self, channels: Channels) {
         let area = |wanted: bool| if wanted { AREA } else { 0 };
         self.w.resize(AREA, 0.0);
@@ -91,11 +104,15 @@ impl Slot {
         self.shield.resize(area(channels.phantoms), 0.0);
     }
 
-    /// No surface anywhere.
-    pub fn clear(&mut self, nothing: f32) {
+    /// No surface anywhere, of what this frame keeps.
+    pub fn clear(&mut self, channels: Channels, nothing: f32) {
         self.w.fill(nothing);
-        self.w2.fill(nothing);
-        self.shield.fill(nothing);
+        if channels.second {
+            self.w2.fill(nothing);
+        }
+        if channels.phantoms {
+            self.shield.fill(nothing);
+        }
     }
 }
 

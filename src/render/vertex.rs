@@ -72,7 +72,15 @@ pub(super) struct Vertices {
 pub(super) const RUN: usize = 1024;
 
 impl Vertices {
-    /// Makes room for `count` vertices; allocates only to grow.
+    /// Makes room for at least `count` vertices.
+    pub fn reserve(&mut self, count: usize, channels: Channels) {
+        self.spots.reserve(count.saturating_sub(self.spots.len()));
+        self.places.reserve(count.saturating_sub(self.places.len()));
+        let normals = if channels.normals { count } else { 0 };
+        self.normals.reserve(normals.saturating_sub(self.normals.len()));
+    }
+
+    /// Holds `count` vertices; allocates only to grow.
     pub fn resize(&mut self, count: usize, channels: Channels) {
         self.spots.resize(count, NO_SPOT);
         self.places.resize(count, Vertex::default());
