@@ -7,13 +7,14 @@
 
 use super::clip::{self, Corner};
 use super::shape::{CLUSTER, Frustum, Shape};
+use super::sort::{BATCH, Rules, SEVERAL, SMALL, Sorted};
 use super::vertex::{NO_SPOT, Spot, Vertices, normal_matrix, unit};
 use super::{Instance, View};
 use crate::frame::Needs;
 use crate::pixels::simd::{Level, dispatch};
 use crate::pixels::{TILE, TileGrid};
 use crate::scene::{Mesh, Shading};
-use fearless_simd::{Simd, SimdBase, i32x8, mask32x8, prelude::*};
+use fearless_simd::Simd;
 use glam::{DMat3, DVec2, DVec3, Vec2, Vec3};
 use std::ops::Range;
 
@@ -21,15 +22,9 @@ use std::ops::Range;
 pub(super) const OWN: u32 = 1 << 31;
 /// On a record's second corner: the triangle is not known to be less than 64 px across.
 pub(super) const LARGE: u32 = 1 << 31;
-/// What small means, in 1/256 px: products of differences fit in 32 bits.
-const SMALL: i32 = 1 << 14;
 const NONE: u32 = u32::MAX;
 /// Triangles over more tiles than this in a direction are not listed per tile but checked by every tile.
 const MAX_LISTED: usize = 2;
-/// Of a pixel coordinate's bits, those within a tile.
-const TILE_SHIFT: u32 = TILE.trailing_zeros();
-/// Triangles of a batch.
-const BATCH: usize = 8;
 
 /// A triangle that may cover pixel centers.
 #[derive(Clone, Copy, Debug)]
@@ -80,9 +75,7 @@ struct Sorting<'a> {
     plain: Option<u32>,
     /// Turns face normals, where faces are flat.
     flat: Option<DMat3>,
-    cull_back: bool,
-    /// Triangles whose box is smaller, 1/256 px, need no second look.
-    reach: i32,
+    rules: Rules,
 }
 
 impl<'a> Sorting<'a> {
@@ -100,14 +93,19 @@ impl<'a> Sorting<'a> {
             frustum: instance.frustum,
             plain: (!flat && model.mesh.materials.is_empty()).then_some(instance.first_surface as u32),
             flat: flat.then(|| normal_matrix(&instance.placed.to_camera)),
-            cull_back: model.cull_back || view.look.needs.includes(Needs::SILHOUETTE),
-            reach: straight.min(SMALL),
+            rules: Rules {
+                size: view.camera.lens.size,
+                columns: view.grid.columns(),
+                cull_back: model.cull_back || view.look.needs.includes(Needs::SILHOUETTE),
+                reach: straight.min(SMALL),
+                bends: view.field.bends(),
+            },
         }
     }
 
     /// Whether any of the cluster with this triangle may be drawn.
     fn may_show(&self, triangle: usize) -> bool {
-        self.shape.is_none_or(|shape| shape.cluster_may_show(triangle, &self.frustum, self.cull_back))
+        self.shape.is_none_or(|shape| shape.cluster_may_show(triangle, &self.frustum, self.rules.cull_back))
     }
 
     fn surface(&self, triangle: usize) -> u32 {
@@ -205,7 +203,7 @@ impl Chunk {
             for (k, triangle) in batch.iter().enumerate() {
                 (a[k], b[k], c[k]) = (spot(triangle[0]), spot(triangle[1]), spot(triangle[2]));
             }
-            let sorted = Sorted::new(simd, sorting, &a, &b, &c);
+            let sorted = Sorted::new(simd, &sorting.rules, &a, &b, &c);
             let mut left = (sorted.small | sorted.others) & ((1 << batch.len()) - 1);
             while left != 0 {
                 let k = left.trailing_zeros() as usize % BATCH;
@@ -343,10 +341,10 @@ fn shape(p: [Spot; 3], sorting: &Sorting<'_>) -> Option<([usize; 3], [i16; 4])> 
     let [[x0, y0], [x1, y1], [x2, y2]] = p.map(|spot| spot.map(i64::from));
     let area = (x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0);
     // positive = clockwise as seen, the back
-    if area == 0 || (sorting.cull_back && area > 0) {
+    if area == 0 || (sorting.rules.cull_back && area > 0) {
         return None;
     }
-    let size = sorting.view.camera.lens.size;
+    let size = sorting.rules.size;
     let first = |v: i64| ((v + 255) >> 8).max(0);
     let left = first(x0.min(x1).min(x2));
     let top = first(y0.min(y1).min(y2));
@@ -354,111 +352,4 @@ fn shape(p: [Spot; 3], sorting: &Sorting<'_>) -> Option<([usize; 3], [i16; 4])> 
     let bottom = (y0.max(y1).max(y2) >> 8).min(size.height as i64 - 1);
     let wound = if area < 0 { [0, 2, 1] } else { [0, 1, 2] };
     (left <= right && top <= bottom).then(|| (wound, [left, top, right, bottom].map(|v| v as i16)))
-}
-
-/// A batch of triangles by their spots; a bit a triangle.
-struct Sorted {
-    /// Small ones that may cover a pixel center and are not culled.
-    small: u32,
-    /// Those that must be looked at singly.
-    others: u32,
-    /// Of the small ones, those wound counter-clockwise as seen.
-    front: u32,
-    /// Pixels the small ones may cover: left in the low 16 bits and top in the high ones, right and bottom.
-    lows: [i32; BATCH],
-    highs: [i32; BATCH],
-    /// The tile that holds them, or `SEVERAL`.
-    tiles: [i32; BATCH],
-}
-
-/// Not one tile.
-const SEVERAL: i32 = -1;
-
-/// The corners of a batch, x and y apart.
-type Side<S> = (i32x8<S>, i32x8<S>);
-
-impl Sorted {
-    #[inline(always)]
-    fn new<S: Simd>(
-        simd: S,
-        sorting: &Sorting<'_>,
-        a: &[Spot; BATCH],
-        b: &[Spot; BATCH],
-        c: &[Spot; BATCH],
-    ) -> Self {
-        let (a, b, c) = (apart(simd, a), apart(simd, b), apart(simd, c));
-        let of = |v: i32| i32x8::splat(simd, v);
-        let none = of(NO_SPOT[0]);
-        let missing = a.0.simd_eq(none) | b.0.simd_eq(none) | c.0.simd_eq(none);
-        let (x0, x1) = (a.0.min(b.0).min(c.0), a.0.max(b.0).max(c.0));
-        let (y0, y1) = (a.1.min(b.1).min(c.1), a.1.max(b.1).max(c.1));
-        let reach = of(sorting.reach);
-        let small = (x1 - x0).simd_lt(reach) & (y1 - y0).simd_lt(reach);
-        let size = sorting.view.camera.lens.size;
-        let left = ((x0 + of(255)) >> 8).max(of(0));
-        let top = ((y0 + of(255)) >> 8).max(of(0));
-        let right = (x1 >> 8).min(of(size.width as i32 - 1));
-        let bottom = (y1 >> 8).min(of(size.height as i32 - 1));
-        let empty = left.simd_gt(right) | top.simd_gt(bottom);
-        let far_off = if sorting.view.field.bends() { mask32x8::splat(simd, false) } else { empty };
-        let others = missing | !(small | far_off);
-
-        let area = (b.0 - a.0) * (c.1 - a.1) - (c.0 - a.0) * (b.1 - a.1);
-        let front = area.simd_lt(of(0));
-        let kept = if sorting.cull_back { front } else { !area.simd_eq(of(0)) };
-        let mut alive = kept & !empty & !others;
-        let (wide, high) = (right - left, bottom - top);
-        let tiny = alive & wide.simd_le(of(1)) & high.simd_le(of(1));
-        if tiny.any_true() {
-            // wound clockwise
-            let (p, q) = (pick(front, c, b), pick(front, b, c));
-            let corner = (left << 8, top << 8);
-            let (e0, r0, d0) = edge(simd, corner, a, p);
-            let (e1, r1, d1) = edge(simd, corner, p, q);
-            let (e2, r2, d2) = edge(simd, corner, q, a);
-            let (wide, high) = (wide << 8, high << 8);
-            let (r0, r1, r2) = (r0 * wide, r1 * wide, r2 * wide);
-            let (d0, d1, d2) = (d0 * high, d1 * high, d2 * high);
-            let covered = (e0 | e1 | e2).simd_ge(of(0))
-                | ((e0 + r0) | (e1 + r1) | (e2 + r2)).simd_ge(of(0))
-                | ((e0 + d0) | (e1 + d1) | (e2 + d2)).simd_ge(of(0))
-                | ((e0 + r0 + d0) | (e1 + r1 + d1) | (e2 + r2 + d2)).simd_ge(of(0));
-            alive = alive & (covered | !tiny);
-        }
-        let (mut lows, mut highs, mut tiles) = ([0; BATCH], [0; BATCH], [0; BATCH]);
-        (left | (top << 16)).store_slice(&mut lows);
-        (right | (bottom << 16)).store_slice(&mut highs);
-        let one = ((left ^ right) | (top ^ bottom)).simd_lt(of(TILE as i32));
-        let tile = (top >> TILE_SHIFT) * of(sorting.view.grid.columns() as i32) + (left >> TILE_SHIFT);
-        one.select(tile, of(SEVERAL)).store_slice(&mut tiles);
-        Self {
-            small: alive.to_bitmask() as u32,
-            others: others.to_bitmask() as u32,
-            front: front.to_bitmask() as u32,
-            lows,
-            highs,
-            tiles,
-        }
-    }
-}
-
-#[inline(always)]
-fn apart<S: Simd>(simd: S, spots: &[Spot; BATCH]) -> Side<S> {
-    let flat = spots.as_flattened();
-    i32x8::from_slice(simd, &flat[..BATCH]).deinterleave(i32x8::from_slice(simd, &flat[BATCH..]))
-}
-
-#[inline(always)]
-fn pick<S: Simd>(mask: mask32x8<S>, yes: Side<S>, no: Side<S>) -> Side<S> {
-    (mask.select(yes.0, no.0), mask.select(yes.1, no.1))
-}
-
-/// An edge function at a pixel center, below 0 outside by the fill rule, and its steps for 1/256 px.
-#[inline(always)]
-fn edge<S: Simd>(simd: S, at: Side<S>, from: Side<S>, to: Side<S>) -> (i32x8<S>, i32x8<S>, i32x8<S>) {
-    let zero = i32x8::splat(simd, 0);
-    let (right, down) = (from.1 - to.1, to.0 - from.0);
-    let owned = right.simd_gt(zero) | (right.simd_eq(zero) & down.simd_gt(zero));
-    let value = right * (at.0 - from.0) + down * (at.1 - from.1);
-    (value - owned.select(zero, i32x8::splat(simd, 1)), right, down)
 }

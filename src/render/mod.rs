@@ -2,10 +2,10 @@
 //!
 //! 1. `vertex`: every vertex to camera space, through the lens to the picture, snapped to 1/256 px, lit (f64).
 //! 2. `clip`: only triangles that cross the near plane, leave the lens's field or bend in it are cut (f64).
-//! 3. `bins`: what covers no pixel center dies; the rest is listed per 64-px tile, chunk by chunk, in
-//!    submission order, without locks.
-//! 4. `raster`: one task a tile walks its lists: exact integer edges, 1/z and attributes of the unsnapped
-//!    triangle, nearest and second-nearest surface in the same pass, into the tile's own pixels (`tile`).
+//! 3. `bins`: what covers no pixel center dies, eight triangles at a time (`sort`); the rest is listed per 64-px
+//!    tile, chunk by chunk, in submission order, without locks.
+//! 4. `raster`: one task a tile walks its lists: exact integer edges, 1/z and attributes of the unsnapped triangle
+//!    (`edges`), nearest and second-nearest surface in the same pass (`run`), into the tile's own pixels (`tile`).
 //! 5. `resolve`: covered tiles are written into the layer, each pixel's nearest surface is shaded (`shade`); tiles
 //!    covered last time only are cleared.
 //! 6. `silhouette`: thick outlines are drawn over the depth, where they are asked for.
@@ -27,9 +27,11 @@ mod particles;
 mod raster;
 pub mod reference;
 mod resolve;
+mod run;
 mod shade;
 mod shape;
 mod silhouette;
+mod sort;
 mod stages;
 mod tile;
 mod vertex;
