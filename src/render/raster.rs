@@ -240,10 +240,10 @@ fn draw_area<S: Simd, const MODE: u8>(
     let leftmost = (0..3).all(|k| edges.right[k] <= 0 || edges.down[k] <= 0);
     let mut start = (0, first_xs);
     let mut at = (y - pen.origin[1]) as usize * STRIDE + (area.first - pen.origin[0]) as usize;
-    let dy = f64::from(y - area.top);
-    let (mut w_row, mut light_row) = (w.origin + w.down * dy, light.origin + light.down * dy);
     loop {
-        let w_start = splat(w_row as f32);
+        // from the top each time: where rows begin to be drawn differs with the length of vectors
+        let dy = f64::from(y - area.top);
+        let w_start = splat(w.at(dy));
         let (mut x, mut xs) = start;
         let (mut f0, mut f1, mut f2) = (e0, e1, e2);
         let mut entered = false;
@@ -262,7 +262,7 @@ fn draw_area<S: Simd, const MODE: u8>(
                 if sliver {
                     here = triangle.kept_near(simd, here);
                 }
-                let light = Line { start: light_row as f32, right: light_right };
+                let light = Line { start: light.at(dy), right: light_right };
                 let run = Run { at: at + x as usize, inside, here, xs, y: y - area.top };
                 if MODE == PLAIN {
                     run.draw_plain(simd, light, slot);
@@ -288,7 +288,6 @@ fn draw_area<S: Simd, const MODE: u8>(
         }
         y += 1;
         at += STRIDE;
-        (w_row, light_row) = (w_row + w.down, light_row + light.down);
         (e0, e1, e2) = (e0 + d0, e1 + d1, e2 + d2);
     }
 }
