@@ -289,6 +289,7 @@ fn scene(meshes: Vec<Mesh>) -> Scene {
         shading: Shading::Smooth,
         cull_back: false,
         secondary: false,
+        phantom: false,
     };
     let light = Light { ambient: 0.2, ..Light::default() };
     Scene { models: meshes.into_iter().map(model).collect(), light, ..Scene::default() }

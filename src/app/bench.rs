@@ -6,6 +6,7 @@ pub mod markers;
 pub mod motion;
 mod plot;
 mod quality;
+mod raster;
 mod steps;
 mod styles;
 mod table;
@@ -50,9 +51,12 @@ pub struct Args {
     /// each quality; leaves a plot
     #[arg(long, conflicts_with = "raster")]
     tracking: bool,
-    /// The rasteriser only
+    /// The rasteriser only, on models of rising size: time, rates and error against the f64 reference
     #[arg(long)]
     raster: bool,
+    /// Another model file for --raster; may be given more than once
+    #[arg(long, value_name = "FILE", requires = "raster")]
+    model: Vec<PathBuf>,
     /// How calm the styles are on a noisy, still scene, whether `[retouch.steady]` helps, and how well patterns follow
     /// the scene with `style.anchored`
     #[arg(long)]
@@ -115,15 +119,11 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     if args.tracking {
         return tracking::run(&args);
     }
-    let all = !args.raster;
-    let parts: [(bool, Part); 6] = [
-        (all, Bench::convert),
-        (all, Bench::tracking),
-        (all || args.raster, Bench::raster),
-        (all, Bench::retouch),
-        (all, Bench::styles),
-        (all, Bench::whole),
-    ];
+    if args.raster {
+        return raster::run(&args);
+    }
+    let parts: [Part; 6] =
+        [Bench::convert, Bench::tracking, Bench::raster, Bench::retouch, Bench::styles, Bench::whole];
     if args.json {
         say(serde_json::json!({ "machine": machine(), "frames": args.frames(), "repeat": args.repeat }))?;
     } else {
@@ -133,12 +133,12 @@ pub fn run(args: Args) -> anyhow::Result<()> {
             "stage", "variant", "threads", "min ms", "median", "p99"
         ))?;
     }
-    let wanted = parts.iter().filter(|(wanted, _)| *wanted).count() * args.threads.len();
+    let wanted = parts.len() * args.threads.len();
     let bar = progress::bar(Some(wanted as u64), "parts");
     for &threads in &args.threads {
         pool(threads)?.install(|| -> anyhow::Result<()> {
             let bench = Bench::new(&args, threads)?;
-            for (_, part) in parts.iter().filter(|(wanted, _)| *wanted) {
+            for part in &parts {
                 for row in part(&bench) {
                     bar.suspend(|| row.print(args.json))?;
                 }
@@ -288,6 +288,7 @@ impl Bench {
             for (variant, needs) in variants {
                 let mut renderer = Renderer::new(simd::best());
                 let times = self.time(|_| {
+                    renderer.restart();
                     renderer.draw(&scene, &placed, &camera, needs);
                 });
                 let layer = renderer.draw(&scene, &placed, &camera, needs);

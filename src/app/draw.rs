@@ -105,6 +105,7 @@ pub fn run(args: Args) -> anyhow::Result<()> {
         shading,
         cull_back: args.cull == Cull::Back,
         secondary: false,
+        phantom: false,
     };
     let scene = Scene { models: vec![model], ..Scene::default() };
     let placed = [Placed { model: 0, to_camera }];
@@ -115,6 +116,7 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     let ms = pool.install(|| {
         let timed = if args.peel { outputs } else { Needs::COLOR.and(Needs::DEPTH) };
         let mut once = || {
+            renderer.restart();
             let start = Instant::now();
             renderer.draw(&scene, &placed, &camera, timed);
             start.elapsed().as_secs_f64() * 1e3

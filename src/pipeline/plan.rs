@@ -250,6 +250,7 @@ mod tests {
             shading: Shading::Smooth,
             cull_back: false,
             secondary,
+            phantom: false,
         };
         Scene { models: vec![model; models], ..Scene::default() }
     }

@@ -1,17 +1,27 @@
-//! A chunk of consecutive triangles: those that can cover a pixel center become records, listed per tile in
-//! submission order. Each chunk is filled by one task and read by all tiles, so nothing is locked.
+//! A chunk of consecutive triangles: those that cover a pixel center become records, listed per tile in submission
+//! order. Each chunk is filled by one task and read by all tiles, so nothing is locked.
+//!
+//! Eight triangles at a time are bounded and wound by their spots alone; of those in a box of at most two by two
+//! pixel centers the centers themselves are tried. Only what is left is looked at singly: small triangles become
+//! records at once, large ones and those to be cut go the long way.
 
 use super::clip::{self, Corner};
-use super::vertex::{Vertex, normal_matrix, unit};
+use super::shape::{CLUSTER, Frustum, Shape};
+use super::sort::{BATCH, Rules, SEVERAL, SMALL, Sorted};
+use super::vertex::{NO_SPOT, Spot, Vertices, normal_matrix, unit};
 use super::{Instance, View};
 use crate::frame::Needs;
+use crate::pixels::simd::{Level, dispatch};
 use crate::pixels::{TILE, TileGrid};
-use crate::scene::{Model, Shading};
-use glam::{DVec2, DVec3};
+use crate::scene::{Mesh, Shading};
+use fearless_simd::Simd;
+use glam::{DMat3, DVec2, DVec3, Vec2, Vec3};
 use std::ops::Range;
 
-/// Marks a corner as one of the chunk's own vertices (from cutting), not one of the frame's.
+/// On a record's first corner: all three are the chunk's own vertices, made by cutting.
 pub(super) const OWN: u32 = 1 << 31;
+/// On a record's second corner: the triangle is not known to be less than 64 px across.
+pub(super) const LARGE: u32 = 1 << 31;
 const NONE: u32 = u32::MAX;
 /// Triangles over more tiles than this in a direction are not listed per tile but checked by every tile.
 const MAX_LISTED: usize = 2;
@@ -19,60 +29,116 @@ const MAX_LISTED: usize = 2;
 /// A triangle that may cover pixel centers.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Record {
-    /// Indices of its corners: frame vertices, or the chunk's own where `OWN` is set. Wound so that the
-    /// snapped area is positive with y down.
+    /// Its corners: vertices of the mesh, or the chunk's own, with their marks. Wound so that the snapped area
+    /// is positive with y down.
     pub corners: [u32; 3],
     /// Index into the frame's surfaces.
     pub surface: u32,
-    /// Intensity of the face normal.
+    /// Intensity of a flat face; below 0 where intensity is interpolated.
     pub face: f32,
-    /// The instance it belongs to.
-    pub instance: u32,
-    /// The three mesh vertices, for texture coordinates; meaningless for own corners.
-    pub first_vertex: u32,
     /// Pixels whose centers it may cover: x0, y0, x1, y1, all inclusive.
     pub bounds: [i16; 4],
-}
-
-/// A vertex made by cutting.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct OwnVertex {
-    pub vertex: Vertex,
-    pub uv: [f32; 2],
-}
-
-#[derive(Clone, Copy)]
-struct Link {
-    record: u32,
+    /// The next record of the same tile.
     next: u32,
 }
 
 /// Consecutive triangles of one instance and what is left of them.
 #[derive(Default)]
 pub(super) struct Chunk {
-    instance: usize,
+    pub instance: usize,
     triangles: Range<usize>,
+    /// How many of them were looked at.
+    pub sorted: usize,
     columns: usize,
-    pub records: Vec<Record>,
-    pub own: Vec<OwnVertex>,
+    /// A triangle over several tiles is one record in each.
+    records: Vec<Record>,
+    /// Vertices made by cutting, their texture coordinates and colors.
+    pub own: Vertices,
+    pub own_uv: Vec<Vec2>,
+    pub own_colors: Vec<Vec3>,
     heads: Vec<u32>,
     tails: Vec<u32>,
-    links: Vec<Link>,
     wide: Vec<u32>,
     /// Tiles under all wide triangles together: column and row ranges, inclusive.
     wide_tiles: Option<[usize; 4]>,
+}
+
+/// What stays the same for all triangles of a chunk.
+struct Sorting<'a> {
+    view: &'a View<'a>,
+    instance: Instance,
+    mesh: &'a Mesh,
+    spots: &'a [Spot],
+    shape: Option<&'a Shape>,
+    frustum: Frustum,
+    /// The surface of all triangles, where there is but one and faces are not flat.
+    plain: Option<u32>,
+    /// Turns face normals, where faces are flat.
+    flat: Option<DMat3>,
+    rules: Rules,
+}
+
+impl<'a> Sorting<'a> {
+    fn new(view: &'a View<'a>, instance: Instance) -> Self {
+        let model = &view.scene.models[instance.placed.model];
+        let spots = &view.vertices.spots[instance.first_vertex..][..model.mesh.positions.len()];
+        let flat = matches!(view.look.shading.unwrap_or(model.shading), Shading::Flat);
+        let straight = if view.field.bends() { clip::straight_box(view.field) } else { SMALL };
+        Self {
+            view,
+            instance,
+            mesh: &model.mesh,
+            spots,
+            shape: view.shapes.of(instance.placed.model),
+            frustum: instance.frustum,
+            plain: (!flat && model.mesh.materials.is_empty()).then_some(instance.first_surface as u32),
+            flat: flat.then(|| normal_matrix(&instance.placed.to_camera)),
+            rules: Rules {
+                size: view.camera.lens.size,
+                columns: view.grid.columns(),
+                cull_back: model.cull_back || view.look.needs.includes(Needs::SILHOUETTE),
+                reach: straight.min(SMALL),
+                bends: view.field.bends(),
+            },
+        }
+    }
+
+    /// Whether any of the cluster with this triangle may be drawn.
+    fn may_show(&self, triangle: usize) -> bool {
+        self.shape.is_none_or(|shape| shape.cluster_may_show(triangle, &self.frustum, self.rules.cull_back))
+    }
+
+    fn surface(&self, triangle: usize) -> u32 {
+        let none = self.mesh.materials.len();
+        let own = self.mesh.material_of.get(triangle).map_or(0, |&m| usize::from(m).min(none));
+        (self.instance.first_surface + own) as u32
+    }
+
+    fn face(&self, corners: [u32; 3]) -> f32 {
+        let Some(normals) = self.flat else { return -1.0 };
+        let at = |c: u32| self.mesh.positions.get(c as usize).copied().unwrap_or_default().as_dvec3();
+        let [a, b, c] = corners.map(at);
+        unit(normals * (b - a).cross(c - a)).dot(self.view.scene.light.direction.as_dvec3()).max(0.0) as f32
+    }
+
+    fn record(&self, triangle: usize, corners: [u32; 3], bounds: [i16; 4]) -> Record {
+        let (surface, face) = (self.surface(triangle), self.face(corners));
+        Record { corners, surface, face, bounds, next: NONE }
+    }
 }
 
 impl Chunk {
     /// Empties the chunk for these triangles; `length` is the most it may be given this frame.
     pub fn begin(&mut self, instance: usize, triangles: Range<usize>, length: usize, grid: TileGrid) {
         (self.instance, self.triangles, self.columns) = (instance, triangles, grid.columns());
+        self.sorted = 0;
         self.records.clear();
-        self.records.reserve(length + length / 4);
+        self.records.reserve(2 * length);
         self.own.clear();
-        self.own.reserve(256);
-        self.links.clear();
-        self.links.reserve(2 * length);
+        self.own_uv.clear();
+        self.own_uv.reserve(256);
+        self.own_colors.clear();
+        self.own_colors.reserve(256);
         self.wide.clear();
         self.wide.reserve(64);
         self.wide_tiles = None;
@@ -88,167 +154,202 @@ impl Chunk {
         self.heads[tile] != NONE || self.wide_tiles.is_some_and(wide)
     }
 
+    /// Whether there are records to walk for the tile.
+    pub fn holds(&self, tile: usize) -> bool {
+        self.heads[tile] != NONE || !self.wide.is_empty()
+    }
+
     /// The records that may touch the tile, in submission order.
     pub fn records_of(&self, tile: usize) -> impl Iterator<Item = &Record> {
-        let mut link = self.heads[tile];
+        let mut listed = self.heads[tile];
         let mut wide = self.wide.iter().copied().peekable();
         std::iter::from_fn(move || {
-            let listed = if link == NONE { NONE } else { self.links[link as usize].record };
-            match wide.peek() {
-                Some(&record) if record < listed => {
-                    wide.next();
-                    Some(&self.records[record as usize])
-                }
-                _ if listed == NONE => None,
-                _ => {
-                    link = self.links[link as usize].next;
-                    Some(&self.records[listed as usize])
-                }
+            if let Some(&index) = wide.peek()
+                && index < listed
+            {
+                wide.next();
+                return self.records.get(index as usize);
             }
+            let record = self.records.get(listed as usize)?;
+            listed = record.next;
+            Some(record)
         })
     }
 
     /// Sorts the chunk's triangles into records and tiles.
-    pub fn fill(&mut self, view: &View<'_>) {
-        let instance = view.instances[self.instance];
-        let model = &view.scene.models[instance.placed.model];
-        let mesh = &model.mesh;
-        let vertices = &view.vertices[instance.first_vertex..][..mesh.positions.len()];
-        let normals = normal_matrix(&instance.placed.to_camera);
-        let towards = view.scene.light.direction.as_dvec3();
-        let flat = matches!(view.look.shading.unwrap_or(model.shading), Shading::Flat);
-        let (nearest_far, bends) = (1.0 / view.camera.far, view.field.bends());
-        for t in self.triangles.clone() {
-            let corners = mesh.triangles[t];
-            let at = corners.map(|c| vertices.get(c as usize));
-            let [Some(a), Some(b), Some(c)] = at else { continue };
-            let (least, most) = (a.w.min(b.w).min(c.w), a.w.max(b.w).max(c.w));
-            if (a.w + b.w + c.w).is_nan() {
-                continue;
+    pub fn fill(&mut self, level: Level, view: &View<'_>) {
+        let sorting = Sorting::new(view, view.instances[self.instance]);
+        let Range { start, end } = self.triangles;
+        let mut first = start;
+        while first < end {
+            // as many clusters at once as there are side by side
+            let mut last = first;
+            while last < end && sorting.may_show(last) {
+                last = end.min(last / CLUSTER * CLUSTER + CLUSTER);
             }
-            let whole = least > 0.0;
-            if whole && most < nearest_far {
-                continue;
+            dispatch!(level, simd => self.sort(simd, &sorting, first..last));
+            self.sorted += last - first;
+            first = end.min(last / CLUSTER * CLUSTER + CLUSTER);
+        }
+    }
+
+    #[inline(always)]
+    fn sort<S: Simd>(&mut self, simd: S, sorting: &Sorting<'_>, triangles: Range<usize>) {
+        let spot = |corner: u32| sorting.spots.get(corner as usize).copied().unwrap_or(NO_SPOT);
+        let nowhere = [NO_SPOT; BATCH];
+        let mut first = triangles.start;
+        for batch in sorting.mesh.triangles[triangles].chunks(BATCH) {
+            let (mut a, mut b, mut c) = (nowhere, nowhere, nowhere);
+            for (k, triangle) in batch.iter().enumerate() {
+                (a[k], b[k], c[k]) = (spot(triangle[0]), spot(triangle[1]), spot(triangle[2]));
             }
-            let bent = whole
-                && bends
-                && (clip::may_bend(a, b, view.field)
-                    || clip::may_bend(b, c, view.field)
-                    || clip::may_bend(c, a, view.field));
-            let face = || match flat {
-                true => {
-                    let [a, b, c] = corners.map(|c| mesh.positions[c as usize].as_dvec3());
-                    unit(normals * (b - a).cross(c - a)).dot(towards).max(0.0) as f32
+            let sorted = Sorted::new(simd, &sorting.rules, &a, &b, &c);
+            let mut left = (sorted.small | sorted.others) & ((1 << batch.len()) - 1);
+            while left != 0 {
+                let k = left.trailing_zeros() as usize % BATCH;
+                left &= left - 1;
+                let Some(&[a, b, c]) = batch.get(k) else { break };
+                if sorted.others >> k & 1 == 1 {
+                    self.single(sorting, first + k, [a, b, c]);
+                    continue;
                 }
-                false => 0.0,
-            };
-            let surface = instance.first_surface as u32
-                + mesh.material_of.get(t).map_or(0, |&m| (usize::from(m)).min(mesh.materials.len()) as u32);
-            let mut record = Record {
-                corners: corners.map(|c| c + instance.first_vertex as u32),
-                surface,
-                face: 0.0,
-                instance: self.instance as u32,
-                first_vertex: instance.first_vertex as u32,
-                bounds: [0; 4],
-            };
-            if whole && !bent {
-                let snapped = [a.snapped, b.snapped, c.snapped];
-                if self.shape(&mut record, snapped, view, model) {
-                    record.face = face();
-                    self.list(record);
+                let front = sorted.front >> k & 1 == 1;
+                let corners = if front { [a, c, b] } else { [a, b, c] };
+                let bounds = [sorted.lows[k], sorted.lows[k] >> 16, sorted.highs[k], sorted.highs[k] >> 16];
+                let bounds = bounds.map(|v| v as i16);
+                let record = match sorting.plain {
+                    Some(surface) => Record { corners, surface, face: -1.0, bounds, next: NONE },
+                    None => Record { corners, ..sorting.record(first + k, [a, b, c], bounds) },
+                };
+                match sorted.tiles[k] {
+                    SEVERAL => self.list(record),
+                    tile => self.append(record, tile as usize),
                 }
-            } else {
-                self.cut(record, face(), corners, view, &instance, model);
             }
+            first += BATCH;
+        }
+    }
+
+    /// One triangle, whatever it is.
+    #[inline(never)]
+    fn single(&mut self, sorting: &Sorting<'_>, triangle: usize, corners: [u32; 3]) {
+        let Sorting { view, instance, .. } = sorting;
+        let places = &view.vertices.places[instance.first_vertex..][..sorting.spots.len()];
+        let at = corners.map(|c| places.get(c as usize));
+        let [Some(a), Some(b), Some(c)] = at else { return };
+        let (least, most) = (a.w.min(b.w).min(c.w), a.w.max(b.w).max(c.w));
+        if (a.w + b.w + c.w).is_nan() {
+            return;
+        }
+        let whole = least > 0.0;
+        if whole && most < 1.0 / view.camera.far {
+            return;
+        }
+        let field = view.field;
+        let bent = whole
+            && field.bends()
+            && (clip::may_bend(a, b, field) || clip::may_bend(b, c, field) || clip::may_bend(c, a, field));
+        if whole && !bent {
+            let spots = corners.map(|c| sorting.spots[c as usize]);
+            if let Some((wound, bounds)) = shape(spots, sorting) {
+                let mut record = sorting.record(triangle, corners, bounds);
+                record.corners = wound.map(|k| corners[k]);
+                record.corners[1] |= LARGE;
+                self.list(record);
+            }
+        } else {
+            self.cut(sorting, triangle, corners);
         }
     }
 
     /// The rare way: cut and split first.
-    fn cut(
-        &mut self,
-        record: Record,
-        face: f32,
-        corners: [u32; 3],
-        view: &View<'_>,
-        instance: &Instance,
-        model: &Model,
-    ) {
-        let mesh = &model.mesh;
-        let corners = corners.map(|c| {
-            let c = c as usize;
-            let vertex = &view.vertices[instance.first_vertex + c];
+    fn cut(&mut self, sorting: &Sorting<'_>, triangle: usize, corners: [u32; 3]) {
+        let Sorting { view, instance, mesh, .. } = sorting;
+        let whole = sorting.record(triangle, corners, [0; 4]);
+        let cut = corners.map(|c| {
+            let (c, index) = (c as usize, instance.first_vertex + c as usize);
+            let normal = view.vertices.normals.get(index).copied().unwrap_or_default();
             Corner {
                 point: instance.placed.to_camera.transform_point3(mesh.positions[c].as_dvec3()),
-                normal: DVec3::from_array(vertex.normal.map(f64::from)),
-                intensity: f64::from(vertex.intensity),
+                normal: DVec3::new(normal[0].into(), normal[1].into(), normal[2].into()),
+                intensity: f64::from(view.vertices.places[index].intensity),
                 uv: mesh.texcoords.get(c).map_or(DVec2::ZERO, |uv| uv.as_dvec2()),
+                color: mesh.colors.get(c).map_or(DVec3::ONE, |color| color.as_dvec3()),
             }
         });
-        let near = view.camera.near;
-        clip::cut(corners, near, view.field, &mut |piece, uvs| {
-            let mut record = Record { face, ..record };
-            record.corners = [0, 1, 2].map(|k| OWN | (self.own.len() + k) as u32);
-            if self.shape(&mut record, piece.map(|v| v.snapped), view, model) {
-                for (vertex, uv) in piece.into_iter().zip(uvs) {
-                    self.own.push(OwnVertex { vertex, uv: uv.as_vec2().to_array() });
-                }
-                self.list(record);
+        clip::cut(cut, view.camera.near, view.field, &mut |piece| {
+            let Some((wound, bounds)) = shape(piece.each_ref().map(|seen| seen.vertex.spot), sorting) else {
+                return;
+            };
+            let first = self.own.places.len() as u32;
+            for seen in piece {
+                self.own.places.push(seen.vertex);
+                self.own.normals.push(seen.corner.normal.as_vec3().extend(seen.vertex.intensity).to_array());
+                self.own_uv.push(seen.corner.uv.as_vec2());
+                self.own_colors.push(seen.corner.color.as_vec3());
             }
+            let mut record = Record { bounds, ..whole };
+            record.corners = wound.map(|k| first + k as u32);
+            record.corners[0] |= OWN;
+            record.corners[1] |= LARGE;
+            self.list(record);
         });
     }
 
-    /// Winds the record and bounds its pixels; `false` when it covers no pixel center or faces away.
-    #[inline]
-    fn shape(&self, record: &mut Record, p: [[i32; 2]; 3], view: &View<'_>, model: &Model) -> bool {
-        let [a, b, c] = p;
-        let (x0, y0, x1, y1) = (i64::from(a[0]), i64::from(a[1]), i64::from(b[0]), i64::from(b[1]));
-        let (x2, y2) = (i64::from(c[0]), i64::from(c[1]));
-        let area = (x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0);
-        // positive = clockwise as seen, the back
-        let cull_back = model.cull_back || view.look.needs.includes(Needs::SILHOUETTE);
-        if area == 0 || (cull_back && area > 0) {
-            return false;
-        }
-        if area < 0 {
-            record.corners.swap(1, 2);
-        }
-        let size = view.camera.lens.size;
-        let first = |v: i64| ((v + 255) >> 8).max(0);
-        let left = first(x0.min(x1).min(x2));
-        let top = first(y0.min(y1).min(y2));
-        let right = (x0.max(x1).max(x2) >> 8).min(size.width as i64 - 1);
-        let bottom = (y0.max(y1).max(y2) >> 8).min(size.height as i64 - 1);
-        if left > right || top > bottom {
-            return false;
-        }
-        record.bounds = [left, top, right, bottom].map(|v| v as i16);
-        true
-    }
-
-    /// Adds a record and lists it under its tiles.
-    #[inline]
+    /// Adds a record under each of its tiles.
+    #[inline(always)]
     fn list(&mut self, record: Record) {
-        let index = self.records.len() as u32;
         let [x0, y0, x1, y1] = record.bounds.map(|v| v as usize / TILE);
-        self.records.push(record);
+        if x0 == x1 && y0 == y1 {
+            return self.append(record, y0 * self.columns + x0);
+        }
+        self.list_more(record, [x0, y0, x1, y1]);
+    }
+
+    #[inline(never)]
+    fn list_more(&mut self, record: Record, [x0, y0, x1, y1]: [usize; 4]) {
         if x1 - x0 >= MAX_LISTED || y1 - y0 >= MAX_LISTED {
-            self.wide.push(index);
+            self.wide.push(self.records.len() as u32);
+            self.records.push(record);
             let [a, b, c, d] = self.wide_tiles.unwrap_or([x0, y0, x1, y1]);
             self.wide_tiles = Some([a.min(x0), b.min(y0), c.max(x1), d.max(y1)]);
             return;
         }
         for row in y0..=y1 {
             for column in x0..=x1 {
-                let tile = row * self.columns + column;
-                let link = self.links.len() as u32;
-                self.links.push(Link { record: index, next: NONE });
-                match self.tails[tile] {
-                    NONE => self.heads[tile] = link,
-                    last => self.links[last as usize].next = link,
-                }
-                self.tails[tile] = link;
+                self.append(record, row * self.columns + column);
             }
         }
     }
+
+    #[inline(always)]
+    fn append(&mut self, record: Record, tile: usize) {
+        let index = self.records.len() as u32;
+        self.records.push(record);
+        let Some(tail) = self.tails.get_mut(tile) else { return };
+        let last = std::mem::replace(tail, index);
+        match self.records.get_mut(last as usize) {
+            Some(last) => last.next = index,
+            None => self.heads[tile] = index,
+        }
+    }
+}
+
+/// Which of the corners comes first, second and third, and the pixels they bound; `None` when no pixel center is
+/// covered or the triangle faces away.
+fn shape(p: [Spot; 3], sorting: &Sorting<'_>) -> Option<([usize; 3], [i16; 4])> {
+    let [[x0, y0], [x1, y1], [x2, y2]] = p.map(|spot| spot.map(i64::from));
+    let area = (x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0);
+    // positive = clockwise as seen, the back
+    if area == 0 || (sorting.rules.cull_back && area > 0) {
+        return None;
+    }
+    let size = sorting.rules.size;
+    let first = |v: i64| ((v + 255) >> 8).max(0);
+    let left = first(x0.min(x1).min(x2));
+    let top = first(y0.min(y1).min(y2));
+    let right = (x0.max(x1).max(x2) >> 8).min(size.width as i64 - 1);
+    let bottom = (y0.max(y1).max(y2) >> 8).min(size.height as i64 - 1);
+    let wound = if area < 0 { [0, 2, 1] } else { [0, 1, 2] };
+    (left <= right && top <= bottom).then(|| (wound, [left, top, right, bottom].map(|v| v as i16)))
 }

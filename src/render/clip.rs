@@ -3,7 +3,7 @@
 //! triangles sharing an edge cut it at the same bits.
 
 use super::field::{Field, SPLIT_TOLERANCE_PX};
-use super::vertex::Vertex;
+use super::vertex::{SUBPIXELS, Vertex};
 use glam::{DVec2, DVec3};
 
 /// Halvings of an edge at most: at 2^-12 of its length every edge in a picture is short.
@@ -20,6 +20,7 @@ pub(super) struct Corner {
     pub normal: DVec3,
     pub intensity: f64,
     pub uv: DVec2,
+    pub color: DVec3,
 }
 
 impl Corner {
@@ -34,25 +35,23 @@ impl Corner {
             normal: self.normal * a + other.normal * b,
             intensity: self.intensity * a + other.intensity * b,
             uv: self.uv * a + other.uv * b,
+            color: self.color * a + other.color * b,
         }
     }
 
     /// Put on the picture; `None` outside near plane and field.
-    fn project(&self, near: f64, field: &Field) -> Option<Vertex> {
-        let mut vertex = Vertex::default();
-        vertex.project(self.point, near, field).then(|| {
-            vertex.intensity = self.intensity as f32;
-            vertex.normal = self.normal.as_vec3().to_array();
-            vertex
-        })
+    fn project(&self, near: f64, field: &Field) -> Option<Seen> {
+        let mut vertex = Vertex::project(self.point, near, field);
+        vertex.intensity = self.intensity as f32;
+        (vertex.w > 0.0).then_some(Seen { corner: *self, vertex })
     }
 }
 
 /// A corner and where it is on the picture.
 #[derive(Clone, Copy)]
-struct Seen {
-    corner: Corner,
-    vertex: Vertex,
+pub(super) struct Seen {
+    pub corner: Corner,
+    pub vertex: Vertex,
 }
 
 /// A triangle cut by near plane and field: a convex polygon of at most 3 + 5 corners.
@@ -92,14 +91,8 @@ impl Polygon {
     }
 }
 
-/// Cuts and splits one triangle; `emit` receives the pieces, wound as the whole, with their texture
-/// coordinates.
-pub(super) fn cut(
-    corners: [Corner; 3],
-    near: f64,
-    field: &Field,
-    emit: &mut dyn FnMut([Vertex; 3], [DVec2; 3]),
-) {
+/// Cuts and splits one triangle; `emit` receives the pieces, wound as the whole.
+pub(super) fn cut(corners: [Corner; 3], near: f64, field: &Field, emit: &mut dyn FnMut(&[Seen; 3])) {
     let [a, b, c] = corners;
     let mut polygon = Polygon { corners: [a, b, c, a, a, a, a, a], count: 3 };
     polygon.cut(|p| p.point.z - near, |p| p.point.z = near);
@@ -110,15 +103,12 @@ pub(super) fn cut(
     polygon.cut(|p| p.point.y - low.y * p.point.z, |_| ());
     polygon.cut(|p| high.y * p.point.z - p.point.y, |_| ());
     for k in 2..polygon.count {
-        let piece = [0, k - 1, k].map(|i| {
-            let corner = polygon.corners[i];
-            corner.project(near, field).map(|vertex| Seen { corner, vertex })
-        });
+        let piece = [0, k - 1, k].map(|i| polygon.corners[i].project(near, field));
         let [Some(a), Some(b), Some(c)] = piece else { continue };
         if field.bends() {
             split([a, b, c], near, field, MAX_SPLITS, emit);
         } else {
-            emit([a.vertex, b.vertex, c.vertex], [a.corner.uv, b.corner.uv, c.corner.uv]);
+            emit(&[a, b, c]);
         }
     }
 }
@@ -146,8 +136,8 @@ pub(super) fn cut_line(ends: [DVec3; 2], near: f64, field: &Field, emit: &mut dy
     let seen = |t: f64| {
         let mut point = a * (1.0 - t) + b * t;
         point.z = point.z.max(near);
-        let corner = Corner { point, normal: DVec3::ZERO, intensity: 0.0, uv: DVec2::ZERO };
-        corner.project(near, field).map(|vertex| Seen { corner, vertex })
+        let (normal, uv, color) = (DVec3::ZERO, DVec2::ZERO, DVec3::ONE);
+        Corner { point, normal, intensity: 0.0, uv, color }.project(near, field)
     };
     if from <= to
         && let (Some(a), Some(b)) = (seen(from), seen(to))
@@ -181,6 +171,13 @@ pub(super) fn may_bend(a: &Vertex, b: &Vertex, field: &Field) -> bool {
     dx * dx + dy * dy > limit * limit
 }
 
+/// Sides of a box, 1/256 px, inside which no edge may bend.
+pub(super) fn straight_box(field: &Field) -> i32 {
+    let limit = field.straight_px().min(MAX_BENT_EDGE_PX);
+    // a hair less than the square in the circle, and snapping adds a step a side
+    (limit * 0.7 * SUBPIXELS) as i32 - 2
+}
+
 /// The middle of an edge before the lens, where the drawn edge would miss the bent one.
 fn middle(a: &Seen, b: &Seen, near: f64, field: &Field) -> Option<Seen> {
     if !may_bend(&a.vertex, &b.vertex, field) {
@@ -191,21 +188,15 @@ fn middle(a: &Seen, b: &Seen, near: f64, field: &Field) -> Option<Seen> {
     let sum = wa + wb;
     let mut corner = a.corner.weighted(&b.corner, wa / sum, wb / sum);
     corner.point.z = corner.point.z.max(near);
-    let vertex = corner.project(near, field)?;
-    let miss =
-        DVec2::new(vertex.x - (a.vertex.x + b.vertex.x) / 2.0, vertex.y - (a.vertex.y + b.vertex.y) / 2.0);
+    let seen = corner.project(near, field)?;
+    let middle = DVec2::new((a.vertex.x + b.vertex.x) / 2.0, (a.vertex.y + b.vertex.y) / 2.0);
+    let miss = DVec2::new(seen.vertex.x, seen.vertex.y) - middle;
     let length = DVec2::new(b.vertex.x - a.vertex.x, b.vertex.y - a.vertex.y).length_squared().sqrt();
     let bent = miss.length_squared() > SPLIT_TOLERANCE_PX * SPLIT_TOLERANCE_PX || length > MAX_BENT_EDGE_PX;
-    bent.then_some(Seen { corner, vertex })
+    bent.then_some(seen)
 }
 
-fn split(
-    [a, b, c]: [Seen; 3],
-    near: f64,
-    field: &Field,
-    left: u32,
-    emit: &mut dyn FnMut([Vertex; 3], [DVec2; 3]),
-) {
+fn split([a, b, c]: [Seen; 3], near: f64, field: &Field, left: u32, emit: &mut dyn FnMut(&[Seen; 3])) {
     let middles = match left {
         0 => [None; 3],
         _ => [middle(&a, &b, near, field), middle(&b, &c, near, field), middle(&c, &a, near, field)],
@@ -219,7 +210,7 @@ fn split(
         }
     };
     match middles {
-        [None, None, None] => emit([a.vertex, b.vertex, c.vertex], [a.corner.uv, b.corner.uv, c.corner.uv]),
+        [None, None, None] => emit(&[a, b, c]),
         [Some(ab), None, None] => go(&[[a, ab, c], [ab, b, c]]),
         [None, Some(bc), None] => go(&[[a, b, bc], [a, bc, c]]),
         [None, None, Some(ca)] => go(&[[a, b, ca], [ca, b, c]]),

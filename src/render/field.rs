@@ -2,6 +2,7 @@
 //! before the lens bends it visibly.
 
 use crate::geometry::Lens;
+use fearless_simd::{Simd, SimdBase, f64x4, mask64x4};
 use glam::DVec2;
 
 /// Largest distance, px, between a drawn straight edge and the curve that the lens makes of it.
@@ -100,6 +101,46 @@ impl Field {
         let px = self.lens.to_pixel(if self.distorted { self.lens.distort(ray) } else { ray });
         let fits = px.x.abs() <= 1.01 * GUARD_PX && px.y.abs() <= 1.01 * GUARD_PX;
         fits.then_some(px)
+    }
+
+    /// Four rays by the operations of [`Field::project`]; the mask says which are inside.
+    #[inline(always)]
+    pub fn project_four<S: Simd>(
+        &self,
+        simd: S,
+        x: f64x4<S>,
+        y: f64x4<S>,
+    ) -> (f64x4<S>, f64x4<S>, mask64x4<S>) {
+        let of = |v: f64| f64x4::splat(simd, v);
+        let inside = x.simd_ge(of(self.low.x))
+            & x.simd_le(of(self.high.x))
+            & y.simd_ge(of(self.low.y))
+            & y.simd_le(of(self.high.y));
+        let (mut px, mut py) = (x, y);
+        if self.distorted {
+            let [k1, k2, p1, p2, k3, k4, k5, k6] = self.lens.distortion;
+            let r2 = x * x + y * y;
+            let above = r2 * (r2 * (r2 * of(k3) + of(k2)) + of(k1)) + of(1.0);
+            let below = r2 * (r2 * (r2 * of(k6) + of(k5)) + of(k4)) + of(1.0);
+            let radial = above / below;
+            px = x * radial + x * of(2.0 * p1) * y + (r2 + x * of(2.0) * x) * of(p2);
+            py = y * radial + (r2 + y * of(2.0) * y) * of(p1) + x * of(2.0 * p2) * y;
+        }
+        let px = px * of(self.lens.focal.x) + of(self.lens.center.x);
+        let py = py * of(self.lens.focal.y) + of(self.lens.center.y);
+        let limit = of(1.01 * GUARD_PX);
+        (px, py, inside & px.abs().simd_le(limit) & py.abs().simd_le(limit))
+    }
+
+    /// Rays x/z and y/z that enclose the picture and what is up to `margin_px` outside it.
+    pub fn view(&self, margin_px: f64) -> (DVec2, DVec2) {
+        if self.distorted {
+            return (self.low, self.high); // nothing is drawn beyond
+        }
+        let Lens { size, focal, center, .. } = self.lens;
+        let margin = DVec2::splat(0.5 + margin_px);
+        let last = DVec2::new(size.width as f64 - 1.0, size.height as f64 - 1.0);
+        ((-margin - center) / focal, (last + margin - center) / focal)
     }
 
     /// Bounds of x/z and y/z, drawn in by a hair so that points cut on a bound project.

@@ -2,12 +2,15 @@
 //!
 //! 1. `vertex`: every vertex to camera space, through the lens to the picture, snapped to 1/256 px, lit (f64).
 //! 2. `clip`: only triangles that cross the near plane, leave the lens's field or bend in it are cut (f64).
-//! 3. `bins`: what covers no pixel center dies; the rest is listed per 64-px tile, chunk by chunk, in
-//!    submission order, without locks.
-//! 4. `raster`: one task a tile walks its lists: exact integer edges, 1/z and attributes of the unsnapped
-//!    triangle, nearest and second-nearest surface in the same pass.
-//! 5. `resolve`: covered tiles are written into the layer; tiles covered last time only are cleared.
+//! 3. `bins`: what covers no pixel center dies, eight triangles at a time (`sort`); the rest is listed per 64-px
+//!    tile, chunk by chunk, in submission order, without locks.
+//! 4. `raster`: one task a tile walks its lists: exact integer edges, 1/z and attributes of the unsnapped triangle
+//!    (`edges`), nearest and second-nearest surface in the same pass (`run`), into the tile's own pixels (`tile`).
+//! 5. `resolve`: covered tiles are written into the layer, each pixel's nearest surface is shaded (`shade`); tiles
+//!    covered last time only are cleared.
 //! 6. `silhouette`: thick outlines are drawn over the depth, where they are asked for.
+//!
+//! `stages` runs 1 to 4 and owns what they need. `shape` and `kept` are for skipping: what is out of view, and a frame that would be the last one again.
 //!
 //! Apart from these, `particles` turns models into points for styles that ask for them.
 //!
@@ -17,28 +20,33 @@
 
 mod bins;
 mod clip;
+mod edges;
 mod field;
+mod kept;
 mod particles;
 mod raster;
+pub mod reference;
 mod resolve;
+mod run;
 mod shade;
+mod shape;
 mod silhouette;
+mod sort;
+mod stages;
+mod tile;
 mod vertex;
 
 use crate::frame::{Layer, Needs};
 use crate::geometry::Lens;
 use crate::pixels::simd::Level;
 use crate::pixels::{Size, TILE, TileGrid, TileSet};
-use crate::scene::{Scene, Shading};
-use bins::Chunk;
+use crate::scene::{Model, Scene, Shading};
 use field::Field;
 use glam::DAffine3;
+use kept::Kept;
 use particles::Particles;
-use raster::Slot;
-use rayon::prelude::*;
-use shade::Surface;
 use silhouette::Silhouette;
-use vertex::Vertex;
+use stages::{Instance, Shot, Stages, View};
 
 pub use particles::Scatter;
 
@@ -82,6 +90,19 @@ pub struct Placed {
     pub to_camera: DAffine3,
 }
 
+/// What a frame took.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Work {
+    /// Frames drawn so far; one that would be as the last is not.
+    pub frames: u64,
+    /// Placed models of the last drawn frame that may be in view.
+    pub models: usize,
+    /// Their vertices.
+    pub vertices: usize,
+    /// Their triangles, without those of clusters that are not in view.
+    pub triangles: usize,
+}
+
 /// Which of the placed models are drawn.
 #[derive(Clone, Copy)]
 enum Part {
@@ -91,21 +112,18 @@ enum Part {
 }
 
 impl Part {
-    fn holds(self, secondary: bool) -> bool {
+    /// Phantoms hide both.
+    fn holds(self, model: &Model) -> bool {
         match self {
             Part::Whole => true,
-            Part::Primary => !secondary,
-            Part::Secondary => secondary,
+            Part::Primary => model.phantom || !model.secondary,
+            Part::Secondary => model.phantom || model.secondary,
         }
     }
 }
 
 /// Largest picture side: snapped coordinates of the picture stay far below the guard band.
 const MAX_SIDE: usize = 16384;
-
-/// Triangles in a chunk of small scenes; larger scenes have at most about `MAX_CHUNKS` larger chunks.
-const CHUNK: usize = 512;
-const MAX_CHUNKS: usize = 64;
 
 /// Draws models; owns every buffer it needs, so that drawing allocates nothing after warm-up.
 pub struct Renderer {
@@ -115,39 +133,16 @@ pub struct Renderer {
     shape: Option<(Size, Needs)>,
     previous: TileSet,
     field: Option<Field>,
-    vertices: Vec<Vertex>,
-    instances: Vec<Instance>,
-    surfaces: Vec<Surface>,
-    chunks: Vec<Chunk>,
-    slots: Vec<Slot>,
+    stages: Stages,
     slot_of: Vec<u32>,
     silhouette: Silhouette,
+    kept: Kept,
+    work: Work,
     /// Draws the secondary models where they are apart.
     secondary: Option<Box<Renderer>>,
     particles: Particles,
     /// Where its layer goes when it is done.
     spare: Option<Box<Layer>>,
-}
-
-/// One placed model of this frame: where its vertices, surfaces and chunks are.
-#[derive(Clone, Copy)]
-struct Instance {
-    placed: Placed,
-    first_vertex: usize,
-    first_surface: usize,
-}
-
-/// What all stages of one `draw` share.
-#[derive(Clone, Copy)]
-struct View<'a> {
-    scene: &'a Scene,
-    camera: &'a Camera,
-    field: &'a Field,
-    grid: TileGrid,
-    instances: &'a [Instance],
-    surfaces: &'a [Surface],
-    vertices: &'a [Vertex],
-    look: Look,
 }
 
 impl Renderer {
@@ -159,13 +154,11 @@ impl Renderer {
             shape: None,
             previous: TileSet::default(),
             field: None,
-            vertices: Vec::new(),
-            instances: Vec::new(),
-            surfaces: Vec::new(),
-            chunks: Vec::new(),
-            slots: Vec::new(),
+            stages: Stages::default(),
             slot_of: Vec::new(),
             silhouette: Silhouette::default(),
+            kept: Kept::default(),
+            work: Work::default(),
             secondary: None,
             particles: Particles::default(),
             spare: None,
@@ -177,6 +170,16 @@ impl Renderer {
         &self.layer
     }
 
+    /// What the last drawn frame took; of secondary models apart nothing.
+    pub fn work(&self) -> Work {
+        self.work
+    }
+
+    /// Draws the next frame whatever it is.
+    pub fn restart(&mut self) {
+        self.kept.forget();
+    }
+
     /// Draws the placed models: only the products that `look` needs, only the tiles they touch.
     ///
     /// Depth comes with color even when it is not asked for, since it is the coverage mask. Equal depths
@@ -184,7 +187,8 @@ impl Renderer {
     /// that are not finite, not in range or without area draw nothing; a `placed` whose model does not
     /// exist, an unusable camera (near ≤ 0, far ≤ near, not finite, picture side above 16384 px) likewise.
     /// Straight edges that the lens bends are split until they are within `SPLIT_TOLERANCE_PX` of the
-    /// curve. Runs on rayon's current pool.
+    /// curve. Phantoms are not seen, they hide what is behind them. A frame that follows from the same scene, places,
+    /// camera and look as the last one is that one: nothing is drawn. Runs on rayon's current pool.
     pub fn draw(
         &mut self,
         scene: &Scene,
@@ -193,6 +197,10 @@ impl Renderer {
         look: impl Into<Look>,
     ) -> &Layer {
         let look = look.into();
+        if self.kept.same(scene, placed, camera, &look) {
+            return &self.layer;
+        }
+        self.work.frames += 1;
         // between frames the secondary models' layer is part of ours; to be drawn it goes back to its renderer
         if let (Some(mut layer), Some(renderer)) = (self.layer.secondary.take(), &mut self.secondary) {
             std::mem::swap(&mut *layer, &mut renderer.layer);
@@ -229,22 +237,27 @@ impl Renderer {
         let usable = camera.near > 0.0 && camera.far > camera.near && camera.far.is_finite();
         let drawn = size.area() > 0 && size.width.max(size.height) <= MAX_SIDE;
         let drawn = drawn && usable && needs != Needs::NOTHING;
-        let mut used = 0;
+        self.stages.clear();
         if drawn {
             if self.field.as_ref().is_none_or(|field| *field.lens() != camera.lens) {
                 self.field = Some(Field::new(camera.lens));
             }
             if needs.without(Needs::PARTICLES) != Needs::NOTHING {
-                used = self.rasterise(scene, placed, camera, grid, look, part);
+                self.rasterise(scene, placed, camera, grid, look, part);
             }
         }
-        for (k, slot) in self.slots[..used].iter().enumerate() {
+        for (k, slot) in self.stages.slots().iter().enumerate() {
             if slot.covered {
                 self.layer.touched.insert(slot.tile);
                 self.slot_of[slot.tile] = k as u32;
             }
         }
-        resolve::resolve(self.level, &mut self.layer, grid, &self.slots, &self.slot_of, &self.previous);
+        let Self { level, layer, stages, slot_of, previous, silhouette, .. } = self;
+        let palette = stages.palette(scene, camera);
+        if needs.includes(Needs::SILHOUETTE) && palette.channels.phantoms {
+            silhouette.take_shield(stages.slots(), grid, size, palette.nothing);
+        }
+        resolve::resolve(*level, layer, &palette, grid, stages.slots(), slot_of, previous);
         if needs.includes(Needs::SILHOUETTE) {
             self.silhouette.draw(&mut self.layer, grid, &self.previous, look.line_width, camera.far);
         }
@@ -284,11 +297,7 @@ impl Renderer {
         let grid = TileGrid::new(size);
         self.layer.touched.reset(grid);
         self.previous.reset(grid);
-        let tiles = if size.width.max(size.height) <= MAX_SIDE { grid.count() } else { 0 };
-        self.slots.resize_with(tiles, Slot::default);
-        for slot in &mut self.slots {
-            slot.fit(needs);
-        }
+        self.stages.resize(if size.width.max(size.height) <= MAX_SIDE { grid.count() } else { 0 });
         self.shape = Some((size, needs));
     }
 
@@ -316,7 +325,7 @@ impl Renderer {
         }
     }
 
-    /// Steps 1 to 4; returns how many slots hold tiles.
+    /// Steps 1 to 4.
     fn rasterise(
         &mut self,
         scene: &Scene,
@@ -325,89 +334,13 @@ impl Renderer {
         grid: TileGrid,
         look: Look,
         part: Part,
-    ) -> usize {
-        let Self {
-            level,
-            layer,
-            field,
-            vertices,
-            instances,
-            surfaces,
-            chunks,
-            slots,
-            slot_of,
-            silhouette,
-            ..
-        } = self;
-        let Some(field) = field.as_ref() else { return 0 };
-        instances.clear();
-        surfaces.clear();
-        let (mut vertex_count, mut triangle_count) = (0, 0);
-        for &placed in placed {
-            let Some(model) = scene.models.get(placed.model) else { continue };
-            if !part.holds(model.secondary) {
-                continue;
-            }
-            instances.push(Instance { placed, first_vertex: vertex_count, first_surface: surfaces.len() });
-            let shading = look.shading.unwrap_or(model.shading);
-            Surface::push_all(placed.model, model, shading, &scene.light, surfaces);
-            vertex_count += model.mesh.positions.len();
-            triangle_count += model.mesh.triangles.len();
-        }
-        vertices.resize(vertex_count, Vertex::default());
-        for instance in instances.iter() {
-            let mesh = &scene.models[instance.placed.model].mesh;
-            let out = &mut vertices[instance.first_vertex..][..mesh.positions.len()];
-            vertex::place(mesh, &instance.placed.to_camera, camera, field, &scene.light, look.needs, out);
-        }
-        layer.extent = extent(vertices, camera);
-        let view = View { scene, camera, field, grid, instances, surfaces, vertices, look };
-        if look.needs.includes(Needs::SILHOUETTE) {
-            silhouette.find(&view);
-        }
-
-        let length = CHUNK.max(triangle_count.div_ceil(MAX_CHUNKS));
-        let mut used_chunks = 0;
-        for (k, instance) in view.instances.iter().enumerate() {
-            let triangles = scene.models[instance.placed.model].mesh.triangles.len();
-            for first in (0..triangles).step_by(length) {
-                if used_chunks == chunks.len() {
-                    chunks.push(Chunk::default());
-                }
-                chunks[used_chunks].begin(k, first..triangles.min(first + length), length, grid);
-                used_chunks += 1;
-            }
-        }
-        let chunks = &mut chunks[..used_chunks];
-        chunks.par_iter_mut().with_max_len(1).for_each(|chunk| chunk.fill(&view));
-
-        let mut used = 0;
-        for (tile, seen) in slot_of.iter_mut().enumerate() {
-            *seen = u32::MAX;
-            let (column, row) = (tile % grid.columns(), tile / grid.columns());
-            if chunks.iter().any(|chunk| chunk.reaches(tile, column, row)) {
-                slots[used].tile = tile;
-                used += 1;
-            }
-        }
-        let (level, chunks) = (*level, &*chunks);
-        slots[..used].par_iter_mut().with_max_len(1).for_each(|slot| {
-            raster::draw_tile(level, &view, chunks, slot);
-        });
-        used
+    ) {
+        let Self { level, layer, field, stages, silhouette, work, .. } = self;
+        let Some(field) = field.as_ref() else { return };
+        let shot = Shot { scene, camera, field, grid, look };
+        let lines = look.needs.includes(Needs::SILHOUETTE).then_some(silhouette);
+        let (extent, done) = stages.run(*level, &shot, placed, part, lines);
+        layer.extent = extent;
+        *work = Work { frames: work.frames, ..done };
     }
 }
-
-/// Nearest and farthest camera z of the vertices; those that must be cut count as on the near plane. The first
-/// is the larger when there are none.
-fn extent(vertices: &[Vertex], camera: &Camera) -> [f32; 2] {
-    let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
-    for vertex in vertices.iter().filter(|vertex| vertex.w >= 0.0) {
-        let z = if vertex.w > 0.0 { 1.0 / vertex.w } else { camera.near };
-        (low, high) = (low.min(z), high.max(z));
-    }
-    [low.max(camera.near) as f32, high.min(camera.far) as f32]
-}
-
-/// Pixels of a slot.
-const TILE_AREA: usize = TILE * TILE;

@@ -75,9 +75,11 @@ impl Particles {
                 *cloud = Some(Cloud { mesh: model.mesh.clone(), scatter, points });
             }
         }
+        let placed =
+            placed.iter().filter(|placed| scene.models.get(placed.model).is_some_and(|m| !m.phantom));
         let count = |cloud: &Option<Cloud>| cloud.as_ref().map_or(0, |cloud| cloud.points.len());
         let of_placed = |placed: &Placed| clouds.get(placed.model).map_or(0, count);
-        let total: usize = placed.iter().map(of_placed).sum();
+        let total: usize = placed.clone().map(of_placed).sum();
         let most = total.max(clouds.iter().map(count).sum());
         seen.clear();
         seen.reserve(most);
@@ -187,15 +189,17 @@ fn weights(rng: &mut SplitMix64) -> [f64; 3] {
 
 /// The point of a triangle at these weights of its corners (eq. 3.12).
 fn point(mesh: &Mesh, triangle: usize, corners: [u32; 3], weights: [f64; 3]) -> Point {
-    let mut at = (DVec3::ZERO, DVec3::ZERO, Vec2::ZERO);
+    let mut at = (DVec3::ZERO, DVec3::ZERO, Vec2::ZERO, Vec3::ZERO);
     for (&corner, weight) in corners.iter().zip(weights) {
         let corner = corner as usize;
         at.0 += mesh.positions[corner].as_dvec3() * weight;
         at.1 += mesh.normals.get(corner).copied().unwrap_or_default().as_dvec3() * weight;
         at.2 += mesh.texcoords.get(corner).copied().unwrap_or_default() * weight as f32;
+        at.3 += mesh.colors.get(corner).copied().unwrap_or(Vec3::ONE) * weight as f32;
     }
     let (position, normal) = (at.0.as_vec3(), unit(at.1).as_vec3());
-    Point { position, normal, color: color(mesh, triangle, at.2) }
+    let color = color(mesh, triangle, at.2) * at.3.min(Vec3::ONE).max(Vec3::ZERO);
+    Point { position, normal, color }
 }
 
 /// Unlit color of a triangle where its texture coordinates are `uv`.
@@ -207,7 +211,7 @@ fn color(mesh: &Mesh, triangle: usize, uv: Vec2) -> Vec3 {
     let base = Vec3::from(material.color.to_array().map(share));
     let has_texels = |texture: &&Arc<Rgb>| texture.size().area() > 0;
     match material.texture.as_ref().filter(has_texels) {
-        Some(texture) => base * Vec3::from(sample(texture, uv.x, uv.y)),
+        Some(texture) => base * Vec3::from(sample(texture, material.wrap, uv.x, uv.y)),
         None => base,
     }
 }

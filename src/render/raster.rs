@@ -1,455 +1,358 @@
-//! One tile: walk the records of all chunks in order, eight pixels at a time.
+//! One tile: walk the records of all chunks in order, a run of pixels at a time.
 //!
 //! Coverage is exact: integer edge functions of the snapped corners, the fill rule folded into the constant.
-//! 1/z and the two barycentric weights of the unsnapped corners are evaluated in f64 at the start of every
-//! run of eight pixels and stepped in f32 inside it, so that the error is that of eight pixels' steps however
-//! large the triangle is. Nearest and second-nearest surface are kept in the same pass.
+//! 1/z and attributes over z of the unsnapped corners are evaluated in f64 at the start of every row and stepped in
+//! f32 along it. Where they are so steep that the steps would round badly the triangle is drawn in strips of eight
+//! pixels, so that the error is that of seven steps however large it is. Nearest and second-nearest surface are kept
+//! in the same pass. Runs are as wide as the machine's vectors: no value depends on where they begin.
 
-use super::bins::{Chunk, OWN, Record};
-use super::shade::{Kind, Surface, sample};
-use super::{Needs, TILE_AREA, View};
+use super::bins::{Chunk, LARGE, OWN, Record};
+use super::edges::{Area, Edges, Slope, Weights};
+use super::run::{Line, Run};
+use super::tile::{Channels, MOST, STRIDE, Slot};
+use super::vertex::{Spot, Vertex, narrow};
+use super::{Instance, View};
+use crate::pixels::TILE;
 use crate::pixels::simd::{Level, dispatch};
-use crate::pixels::{Rgb, TILE};
-use fearless_simd::{Simd, SimdBase, SimdFrom, f32x8, i32x8, mask32x8, prelude::*};
+use fearless_simd::{Simd, f64x4, prelude::*};
+use glam::{Vec2, Vec3};
 
-/// Pixels of a run.
-const RUN: usize = 8;
+/// Width of the strips of steep triangles, px.
+const STRIP: i32 = 8;
+/// Steep: over the triangle's width in the tile 1/z changes by more than this share of its least value...
+const STEEP_DEPTH: f64 = 1.0;
+/// ... or the corners' weights by more than this.
+const STEEP_WEIGHTS: f64 = 16.0;
+/// A sliver: the corners' weights change by more than this in a pixel.
+const SLIVER: f64 = 32.0;
 
-/// The pixels of one tile while it is drawn; row by row, 64 a row.
-#[derive(Default)]
-pub(super) struct Slot {
-    /// The tile of the picture.
-    pub tile: usize,
-    /// Whether any pixel inside the picture is covered.
-    pub covered: bool,
-    /// 1/z of the nearest surface, 0 where there is none.
-    pub w: Vec<f32>,
-    /// Its color, red in the lowest byte; unspecified where there is none.
-    pub color: Vec<i32>,
-    /// Its normal, not of unit length.
-    pub normal: [Vec<f32>; 3],
-    /// 1/z of the second-nearest surface.
-    pub w2: Vec<f32>,
-    /// Its normal, not of unit length.
-    pub normal2: [Vec<f32>; 3],
-}
-
-impl Slot {
-    /// Allocates what `needs` asks for.
-    pub fn fit(&mut self, needs: Needs) {
-        let second = needs.includes(Needs::SECOND_LAYER);
-        let area = |wanted: bool| if wanted { TILE_AREA } else { 0 };
-        self.w.resize(TILE_AREA, 0.0);
-        self.color.resize(area(needs.includes(Needs::COLOR)), 0);
-        self.w2.resize(area(second), 0.0);
-        for plane in &mut self.normal {
-            plane.resize(area(second || needs.includes(Needs::NORMAL)), 0.0);
-        }
-        for plane in &mut self.normal2 {
-            plane.resize(area(second), 0.0);
-        }
-    }
-}
+/// The body is built for each of three cases: light alone; both layers, light or not; and anything.
+const PLAIN: u8 = 0;
+const BOTH: u8 = 1;
+const ANY: u8 = 2;
 
 /// Draws everything that touches the slot's tile.
 pub(super) fn draw_tile(level: Level, view: &View<'_>, chunks: &[Chunk], slot: &mut Slot) {
-    slot.w.fill(0.0);
-    slot.w2.fill(0.0);
-    dispatch!(level, simd => draw_records(simd, view, chunks, slot));
+    slot.clear(view.channels, view.nothing);
+    let Channels { light, normals, uv, colors, surfaces, second, phantoms } = view.channels;
+    match (second, normals || !light, uv || colors || surfaces || phantoms) {
+        (false, false, false) => dispatch!(level, simd => draw_records::<_, PLAIN>(simd, view, chunks, slot)),
+        (true, _, false) => dispatch!(level, simd => draw_records::<_, BOTH>(simd, view, chunks, slot)),
+        _ => dispatch!(level, simd => draw_records::<_, ANY>(simd, view, chunks, slot)),
+    }
     let rect = view.grid.rect(slot.tile);
-    let rows = slot.w.chunks_exact(TILE).take(rect.y1 - rect.y0);
-    slot.covered = rows.into_iter().any(|row| row[..rect.x1 - rect.x0].iter().any(|&w| w > 0.0));
+    let mut rows = slot.w.chunks_exact(STRIDE).take(rect.y1 - rect.y0);
+    let most = |row: &[f32]| row.iter().fold(0, |most, w| w.to_bits().max(most));
+    slot.covered = rows.any(|row| most(&row[..rect.x1 - rect.x0]) > view.nothing.to_bits());
+}
+
+/// What stays the same for all records of a chunk in a tile.
+struct Pen<'a> {
+    /// Top left pixel of the tile.
+    origin: [i32; 2],
+    channels: Channels,
+    phantom: bool,
+    source: Source<'a>,
 }
 
 #[inline(always)]
-fn draw_records<S: Simd>(simd: S, view: &View<'_>, chunks: &[Chunk], slot: &mut Slot) {
+fn draw_records<S: Simd, const MODE: u8>(simd: S, view: &View<'_>, chunks: &[Chunk], slot: &mut Slot) {
     let rect = view.grid.rect(slot.tile);
-    let far = (1.0 / view.camera.far) as f32;
+    let [left, top, right, bottom] = [rect.x0, rect.y0, rect.x1 - 1, rect.y1 - 1].map(|v| v as i32);
     for chunk in chunks {
+        if !chunk.holds(slot.tile) {
+            continue;
+        }
+        let instance = &view.instances[chunk.instance];
+        let phantom = view.scene.models[instance.placed.model].phantom;
+        let whole = Source::of_instance(view, instance);
+        let pen = |source| Pen { origin: [left, top], channels: view.channels, phantom, source };
+        let (whole, own) = (pen(whole), pen(Source::of_chunk(chunk)));
         for record in chunk.records_of(slot.tile) {
             let [x0, y0, x1, y1] = record.bounds;
-            let (x0, y0, x1, y1) = (x0 as usize, y0 as usize, x1 as usize, y1 as usize);
-            if x0 >= rect.x1 || y0 >= rect.y1 || x1 < rect.x0 || y1 < rect.y0 {
+            let area = Area {
+                first: i32::from(x0).max(left),
+                top: i32::from(y0).max(top),
+                last: i32::from(x1).min(right),
+                bottom: i32::from(y1).min(bottom),
+            };
+            if area.first > area.last || area.top > area.bottom {
                 continue;
             }
-            let area = Area {
-                origin: [rect.x0 as i32, rect.y0 as i32],
-                first: x0.max(rect.x0) - rect.x0,
-                top: y0.max(rect.y0) - rect.y0,
-                last: x1.min(rect.x1 - 1) - rect.x0,
-                bottom: y1.min(rect.y1 - 1) - rect.y0,
-            };
-            let [a, b, c] = record.corners;
-            let corners = [
-                corner(view, chunk, record, a),
-                corner(view, chunk, record, b),
-                corner(view, chunk, record, c),
-            ];
-            let surface = &view.surfaces[record.surface as usize];
-            let light = view.scene.light.direction.to_array();
-            let paint = Paint { surface, texture: surface.texture(view.scene), face: record.face, light };
-            draw_triangle(simd, &area, &corners, &paint, far, slot);
+            if (record.corners[0] | record.corners[1]) & (OWN | LARGE) == 0 {
+                let Some(triangle) = Triangle::new(&whole, record, record.corners) else { continue };
+                let edges = Edges::small(simd, &area, triangle.spots());
+                if draw_area::<S, MODE>(simd, &triangle, &area, &edges, None, slot) {
+                    continue;
+                }
+            }
+            let pen = if record.corners[0] & OWN == 0 { &whole } else { &own };
+            draw_slowly::<S, MODE>(simd, pen, record, &area, slot);
         }
     }
 }
 
-/// The pixels of a tile that a triangle may cover, in tile coordinates, inclusive.
-struct Area {
-    origin: [i32; 2],
-    first: usize,
-    top: usize,
-    last: usize,
-    bottom: usize,
-}
-
-struct Corner {
-    x: f64,
-    y: f64,
-    w: f64,
-    snapped: [i32; 2],
-    intensity: f32,
-    normal: [f32; 3],
-    uv: [f32; 2],
-}
-
-struct Paint<'a> {
-    surface: &'a Surface,
-    texture: Option<&'a Rgb>,
-    face: f32,
-    light: [f32; 3],
-}
-
-#[inline(always)]
-fn corner(view: &View<'_>, chunk: &Chunk, record: &Record, index: u32) -> Corner {
-    let (vertex, uv) = if index & OWN != 0 {
-        let own = &chunk.own[(index & !OWN) as usize];
-        (&own.vertex, own.uv)
-    } else {
-        let model = view.instances[record.instance as usize].placed.model;
-        let texcoords = &view.scene.models[model].mesh.texcoords;
-        let uv = match texcoords.get((index - record.first_vertex) as usize) {
-            Some(uv) => [uv.x, uv.y],
-            None => [0.0; 2],
-        };
-        (&view.vertices[index as usize], uv)
-    };
-    let (x, y, w, snapped) = (vertex.x, vertex.y, vertex.w, vertex.snapped);
-    Corner { x, y, w, snapped, intensity: vertex.intensity, normal: vertex.normal, uv }
-}
-
-/// The three edge functions over an area, divided by 256 with the sign kept exact: a pixel center is a whole
-/// number of steps away, so only the constant has a fraction, and rounding it down changes no sign.
-struct Edges {
-    start: [i64; 3],
-    right: [i64; 3],
-    down: [i64; 3],
-    /// Whether a value in the area may exceed 32 bits.
-    wide: bool,
-}
-
-impl Edges {
-    /// `None` when some edge leaves the whole area outside.
-    #[inline(always)]
-    fn new(area: &Area, corners: &[Corner; 3]) -> Option<Self> {
-        let first = area.first / RUN * RUN;
-        let columns = (area.last / RUN * RUN + RUN - 1 - first) as i64;
-        let rows = (area.bottom - area.top) as i64;
-        let x = i64::from(area.origin[0]) * 256 + first as i64 * 256;
-        let y = i64::from(area.origin[1]) * 256 + area.top as i64 * 256;
-        let mut edges = Edges { start: [0; 3], right: [0; 3], down: [0; 3], wide: false };
-        for k in 0..3 {
-            let (from, to) = (&corners[k].snapped, &corners[if k == 2 { 0 } else { k + 1 }].snapped);
-            let (x0, y0) = (i64::from(from[0]), i64::from(from[1]));
-            let (x1, y1) = (i64::from(to[0]), i64::from(to[1]));
-            let (right, down) = (y0 - y1, x1 - x0);
-            // top: to the right along the row; left: upwards (y down, inside on the right hand)
-            let owned = right > 0 || (right == 0 && down > 0);
-            let start = (right * (x - x0) + down * (y - y0) - i64::from(!owned)) >> 8;
-            let (across, along) = (right * columns, down * rows);
-            if start + across.max(0) + along.max(0) < 0 {
-                return None;
-            }
-            if start + across.min(0) + along.min(0) >= 0 {
-                continue; // inside everywhere: stays 0
-            }
-            edges.wide |= across.abs() + along.abs() >= i64::from(i32::MAX);
-            (edges.start[k], edges.right[k], edges.down[k]) = (start, right, down);
-        }
-        Some(edges)
-    }
-}
-
-impl Edges {
-    /// The values some pixels to the right of and below the area's first run.
-    #[inline(always)]
-    fn at(&self, across: i64, along: i64) -> [i64; 3] {
-        let [a, b, c] = self.start;
-        [
-            a + self.right[0] * across + self.down[0] * along,
-            b + self.right[1] * across + self.down[1] * along,
-            c + self.right[2] * across + self.down[2] * along,
-        ]
-    }
-}
-
-/// Linear in x and y over the tile: value at the tile's first pixel center and steps.
-#[derive(Clone, Copy)]
-struct Slope {
-    origin: f64,
-    right: f64,
-    down: f64,
-}
-
-impl Slope {
-    #[inline(always)]
-    fn at(&self, x: usize, y: usize) -> f32 {
-        (self.origin + self.right * x as f64 + self.down * y as f64) as f32
-    }
-}
-
-/// A weight from its steps, 0 at the corner that lies (ox, oy) before the tile's origin.
-#[inline(always)]
-fn weight(ox: f64, oy: f64, right: f64, down: f64) -> Slope {
-    let origin = ox * right + oy * down;
-    if (origin + right + down).is_finite() {
-        Slope { origin, right, down }
-    } else {
-        // no area before snapping: the middle of the triangle stands for all of it
-        Slope { origin: 1.0 / 3.0, right: 0.0, down: 0.0 }
-    }
-}
-
-/// The unsnapped triangle's barycentric weights of corners 1 and 2, and 1/z.
-#[inline(always)]
-fn slopes(area: &Area, [a, b, c]: &[Corner; 3]) -> [Slope; 3] {
-    let (abx, aby, acx, acy) = (b.x - a.x, b.y - a.y, c.x - a.x, c.y - a.y);
-    let inverse = 1.0 / (abx * acy - acx * aby);
-    let (ox, oy) = (f64::from(area.origin[0]) - a.x, f64::from(area.origin[1]) - a.y);
-    let l1 = weight(ox, oy, acy * inverse, -acx * inverse);
-    let l2 = weight(ox, oy, -aby * inverse, abx * inverse);
-    let (d1, d2) = (b.w - a.w, c.w - a.w);
-    let w = Slope {
-        origin: a.w + l1.origin * d1 + l2.origin * d2,
-        right: l1.right * d1 + l2.right * d2,
-        down: l1.down * d1 + l2.down * d2,
-    };
-    [l1, l2, w]
-}
-
-/// An attribute times 1/z at corner 0, and its differences to corners 1 and 2.
-#[inline(always)]
-fn plane([a, b, c]: &[Corner; 3], [p, q, r]: [f32; 3]) -> [f32; 3] {
-    let (p, q, r) = (f64::from(p) * a.w, f64::from(q) * b.w, f64::from(r) * c.w);
-    [p as f32, (q - p) as f32, (r - p) as f32]
-}
-
-#[inline(always)]
-fn draw_triangle<S: Simd>(
+/// Large triangles, those made by cutting and steep ones.
+#[inline(never)]
+fn draw_slowly<S: Simd, const MODE: u8>(
     simd: S,
+    pen: &Pen<'_>,
+    record: &Record,
     area: &Area,
-    corners: &[Corner; 3],
-    paint: &Paint<'_>,
-    far: f32,
     slot: &mut Slot,
 ) {
-    let Some(edges) = Edges::new(area, corners) else { return };
-    let [l1, l2, w] = slopes(area, corners);
-    let (color, normals, second) = (!slot.color.is_empty(), !slot.normal[0].is_empty(), !slot.w2.is_empty());
+    let [a, b, c] = record.corners;
+    let Some(triangle) = Triangle::new(pen, record, [a & !OWN, b & !LARGE, c]) else { return };
+    let mut draw = |area: &Area| {
+        let Some(exact) = Edges::new(area, triangle.spots()) else { return true };
+        let (edges, wide) = match exact.narrow(area) {
+            Some(edges) => (edges, None),
+            None => (Edges::default(), Some(&exact)),
+        };
+        simd.vectorize(
+            #[inline(always)]
+            || draw_area::<S, MODE>(simd, &triangle, area, &edges, wide, slot),
+        )
+    };
+    if draw(area) {
+        return;
+    }
+    for first in (area.first..=area.last).step_by(STRIP as usize) {
+        draw(&Area { first, last: area.last.min(first + STRIP - 1), ..*area });
+    }
+}
 
-    let lanes = f32x8::simd_from(simd, [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0]);
-    // no closures and no array `map` in here: what is not inlined runs without the level's instructions
-    let l1_step = lanes * f32x8::splat(simd, l1.right as f32);
-    let l2_step = lanes * f32x8::splat(simd, l2.right as f32);
-    let w_step = lanes * f32x8::splat(simd, w.right as f32);
-    let far = f32x8::splat(simd, far);
-    // snapping moves a covered center at most .003 px out of the triangle; slivers must not turn that into
-    // any depth at all
-    let [wa, wb, wc] = [corners[0].w, corners[1].w, corners[2].w];
-    let (least, most) = (wa.min(wb).min(wc), wa.max(wb).max(wc));
-    let reach = (most - least) * 0.5;
-    let low = f32x8::splat(simd, (least - reach).max(least * 0.5) as f32);
-    let high = f32x8::splat(simd, (most + reach) as f32);
+/// Where the corners of records are: the vertices of an instance, or those a chunk made by cutting.
+struct Source<'a> {
+    places: &'a [Vertex],
+    normals: &'a [[f32; 4]],
+    uv: &'a [Vec2],
+    colors: &'a [Vec3],
+}
 
-    let [a, b, c] = corners;
-    let intensity = plane(corners, [a.intensity, b.intensity, c.intensity]);
-    let three_steps = color && paint.surface.kind == Kind::ThreeSteps;
-    let mut normal = [[0.0; 3]; 3];
-    if normals || three_steps {
-        for (k, out) in normal.iter_mut().enumerate() {
-            *out = plane(corners, [a.normal[k], b.normal[k], c.normal[k]]);
+impl<'a> Source<'a> {
+    fn of_instance(view: &View<'a>, instance: &Instance) -> Self {
+        let mesh = &view.scene.models[instance.placed.model].mesh;
+        let (first, vertices) = (instance.first_vertex, view.vertices);
+        Self {
+            places: &vertices.places[first..],
+            normals: vertices.normals.get(first..).unwrap_or_default(),
+            uv: &mesh.texcoords,
+            colors: &mesh.colors,
         }
     }
-    let mut uv = [[0.0; 3]; 2];
-    if paint.texture.is_some() {
-        for (k, out) in uv.iter_mut().enumerate() {
-            *out = plane(corners, [a.uv[k], b.uv[k], c.uv[k]]);
+
+    fn of_chunk(chunk: &'a Chunk) -> Self {
+        let own = &chunk.own;
+        let (uv, colors) = (&chunk.own_uv, &chunk.own_colors);
+        Self { places: &own.places, normals: &own.normals, uv, colors }
+    }
+}
+
+/// A triangle to draw.
+struct Triangle<'a> {
+    pen: &'a Pen<'a>,
+    record: &'a Record,
+    index: [usize; 3],
+    places: [&'a Vertex; 3],
+}
+
+impl<'a> Triangle<'a> {
+    /// `corners` are the record's without their marks.
+    #[inline(always)]
+    fn new(pen: &'a Pen<'a>, record: &'a Record, corners: [u32; 3]) -> Option<Self> {
+        let index = [corners[0] as usize, corners[1] as usize, corners[2] as usize];
+        let places = pen.source.places;
+        let places = [places.get(index[0])?, places.get(index[1])?, places.get(index[2])?];
+        Some(Self { pen, record, index, places })
+    }
+
+    #[inline(always)]
+    fn spots(&self) -> [Spot; 3] {
+        [self.places[0].spot, self.places[1].spot, self.places[2].spot]
+    }
+}
+
+/// Lane numbers; no vector has more.
+const LANES: [i32; STRIDE - TILE] = [0, 1, 2, 3, 4, 5, 6, 7];
+
+/// Draws a triangle's pixels in the area; `false`, and nothing is drawn, where it is too wide for how steep it is.
+/// `wide` stands for `edges` where they do not fit.
+#[inline(always)]
+fn draw_area<S: Simd, const MODE: u8>(
+    simd: S,
+    triangle: &Triangle<'_>,
+    area: &Area,
+    edges: &Edges<i32>,
+    wide: Option<&Edges<i64>>,
+    slot: &mut Slot,
+) -> bool {
+    let splat = |v: f32| S::f32s::simd_from(simd, v);
+    let whole = |v: i32| S::i32s::simd_from(simd, v);
+    let length = S::f32s::LEN as i32;
+    let (r0, r1, r2) = (whole(edges.right[0]), whole(edges.right[1]), whole(edges.right[2]));
+    let (d0, d1, d2) = (whole(edges.down[0]), whole(edges.down[1]), whole(edges.down[2]));
+    let lanes = S::i32s::from_slice(simd, &LANES[..S::i32s::LEN]);
+    let mut e0 = whole(edges.start[0]) + lanes * r0;
+    let mut e1 = whole(edges.start[1]) + lanes * r1;
+    let mut e2 = whole(edges.start[2]) + lanes * r2;
+    let width = area.last - area.first;
+    let mut y = area.top;
+    if width < length && wide.is_none() {
+        // nothing is set up for what covers no pixel center
+        while (e0 | e1 | e2).simd_ge(whole(0)).all_false() {
+            if y == area.bottom {
+                return true;
+            }
+            y += 1;
+            (e0, e1, e2) = (e0 + d0, e1 + d1, e2 + d2);
         }
     }
 
-    let ramp = i32x8::simd_from(simd, [0, 1, 2, 3, 4, 5, 6, 7]);
-    let e_step = [
-        ramp * i32x8::splat(simd, edges.right[0] as i32),
-        ramp * i32x8::splat(simd, edges.right[1] as i32),
-        ramp * i32x8::splat(simd, edges.right[2] as i32),
-    ];
-    let first = area.first / RUN * RUN;
-    for y in area.top..=area.bottom {
-        for x in (first..=area.last).step_by(RUN) {
-            let (across, along) = ((x - first) as i64, (y - area.top) as i64);
-            let start = edges.at(across, along);
-            let inside = if edges.wide {
-                wide_inside(simd, start, &edges.right)
-            } else {
-                let e0 = i32x8::splat(simd, start[0] as i32) + e_step[0];
-                let e1 = i32x8::splat(simd, start[1] as i32) + e_step[1];
-                let e2 = i32x8::splat(simd, start[2] as i32) + e_step[2];
-                (e0 | e1 | e2).simd_ge(i32x8::splat(simd, 0))
+    let [a, b, c] = triangle.places;
+    let weights = Weights::new(area, triangle.places);
+    let w = weights.slope(a.w, b.w, c.w);
+    let steepness = weights.steepness();
+    if width >= STRIP {
+        let width = f64::from(width);
+        let least = a.w.min(b.w).min(c.w);
+        if w.right.abs() * width > STEEP_DEPTH * least || steepness.0 * width > STEEP_WEIGHTS {
+            return false;
+        }
+    }
+    let pen = triangle.pen;
+    let lit = MODE == PLAIN || (MODE == ANY && pen.channels.light);
+    let light = if lit { triangle.light(&weights) } else { Slope::default() };
+    let four = if MODE == BOTH { triangle.four(simd, &weights) } else { [f64x4::splat(simd, 0.0); 3] };
+    let right = narrow(simd, four[1]);
+    let four_right = [splat(right[0]), splat(right[1]), splat(right[2]), splat(right[3])];
+    let others;
+    let others = if MODE == ANY && pen.channels.count() > 1 {
+        others = triangle.others(&weights);
+        &others[..pen.channels.count() - usize::from(pen.channels.light)]
+    } else {
+        &[]
+    };
+    let sliver = steepness.0 + steepness.1 > SLIVER;
+    let first_xs: S::f32s = lanes.to_float();
+    let (w_right, light_right) = (splat(w.right as f32), splat(light.right as f32));
+    // where the left edges only move to the right, what is left of the last row's first pixel stays outside
+    let leftmost = (0..3).all(|k| edges.right[k] <= 0 || edges.down[k] <= 0);
+    let mut start = (0, first_xs);
+    let mut at = (y - pen.origin[1]) as usize * STRIDE + (area.first - pen.origin[0]) as usize;
+    loop {
+        // from the top each time: where rows begin to be drawn differs with the length of vectors
+        let dy = f64::from(y - area.top);
+        let w_start = splat(w.at(dy));
+        let (mut x, mut xs) = start;
+        let (mut f0, mut f1, mut f2) = (e0, e1, e2);
+        let mut entered = false;
+        loop {
+            let inside = match wide {
+                None => (f0 | f1 | f2).simd_ge(whole(0)),
+                Some(wide) => S::mask32s::from_bitmask(simd, wide.inside(x, y - area.top, S::f32s::LEN)),
             };
-            if inside.all_false() {
-                continue;
-            }
-            let at = y * TILE + x;
-            let here = f32x8::splat(simd, w.at(x, y)) + w_step;
-            let here = here.simd_lt(low).select(low, here);
-            let here = high.simd_lt(here).select(high, here);
-            let inside = inside & here.simd_ge(far);
-            let before = load(simd, &slot.w, at);
-            let wins = inside & here.simd_gt(before);
-            let any = wins.any_true();
-            if !any && !second {
-                continue;
-            }
-            let b1 = f32x8::splat(simd, l1.at(x, y)) + l1_step;
-            let b2 = f32x8::splat(simd, l2.at(x, y)) + l2_step;
-            if second {
-                // a fragment behind the first may be the second; a new first makes the old one second
-                let before2 = load(simd, &slot.w2, at);
-                let behind = inside & here.simd_lt(before) & here.simd_gt(before2);
-                if !any && behind.all_false() {
-                    continue;
+            if inside.any_true() {
+                if leftmost && !entered {
+                    start = (x, xs);
+                    (e0, e1, e2) = (f0, f1, f2);
                 }
-                let now2 = wins.select(before, behind.select(here, before2));
-                store(now2, &mut slot.w2, at);
-                for (k, &plane) in normal.iter().enumerate() {
-                    let old = load(simd, &slot.normal[k], at);
-                    let old2 = load(simd, &slot.normal2[k], at);
-                    let new = blend(simd, b1, b2, plane);
-                    store(wins.select(old, behind.select(new, old2)), &mut slot.normal2[k], at);
+                entered = true;
+                let mut here = w_start + xs * w_right;
+                if sliver {
+                    here = triangle.kept_near(simd, here);
                 }
-                if !any {
-                    continue;
+                let light = Line { start: light.at(dy), right: light_right };
+                let run = Run { at: at + x as usize, inside, here, xs, y: y - area.top };
+                if MODE == PLAIN {
+                    run.draw_plain(simd, light, slot);
+                } else if MODE == BOTH {
+                    run.draw_both(simd, &four, &four_right, triangle.record.face, pen.channels, slot);
+                } else if pen.phantom {
+                    run.hide(simd, slot);
+                } else {
+                    run.draw(simd, triangle.record.surface, pen.channels, light, others, slot);
                 }
+            } else if entered {
+                break;
             }
-            store(wins.select(here, before), &mut slot.w, at);
-            if normals {
-                for (k, &plane) in normal.iter().enumerate() {
-                    let old = load(simd, &slot.normal[k], at);
-                    store(wins.select(blend(simd, b1, b2, plane), old), &mut slot.normal[k], at);
-                }
+            x += length;
+            if x > width {
+                break;
             }
-            if color {
-                let z = f32x8::splat(simd, 1.0) / here;
-                let light = match paint.surface.kind {
-                    Kind::Flat => f32x8::splat(simd, paint.face),
-                    Kind::ThreeSteps => {
-                        let nx = blend(simd, b1, b2, normal[0]);
-                        let ny = blend(simd, b1, b2, normal[1]);
-                        let nz = blend(simd, b1, b2, normal[2]);
-                        let [lx, ly, lz] = paint.light;
-                        let length = (nx * nx + ny * ny + nz * nz).sqrt();
-                        let towards = nx * lx + ny * ly + nz * lz;
-                        let (dark, middle) = (f32x8::splat(simd, 0.1), f32x8::splat(simd, 0.4));
-                        let light = towards.simd_gt(length * 0.2).select(middle, dark);
-                        towards.simd_gt(length * 0.7).select(f32x8::splat(simd, 1.0), light)
-                    }
-                    _ => unit_range(simd, blend(simd, b1, b2, intensity) * z),
-                };
-                let light = match paint.surface.kind {
-                    Kind::Toon => {
-                        let mut out = [0.0f32; RUN];
-                        light.store_slice(&mut out);
-                        for value in &mut out {
-                            *value = paint.surface.toon(*value);
-                        }
-                        f32x8::simd_from(simd, out)
-                    }
-                    _ => light,
-                };
-                let ambient = paint.surface.ambient;
-                let light = f32x8::splat(simd, ambient) + f32x8::splat(simd, 1.0 - ambient) * light;
-                let texels = match paint.texture {
-                    Some(texture) => {
-                        let (mut u, mut v) = ([0.0f32; RUN], [0.0f32; RUN]);
-                        (blend(simd, b1, b2, uv[0]) * z).store_slice(&mut u);
-                        (blend(simd, b1, b2, uv[1]) * z).store_slice(&mut v);
-                        let mut texels = [[1.0f32; RUN]; 3];
-                        let bits = wins.to_bitmask();
-                        for k in 0..RUN {
-                            if bits >> k & 1 == 1 {
-                                let [r, g, b] = sample(texture, u[k], v[k]);
-                                (texels[0][k], texels[1][k], texels[2][k]) = (r, g, b);
-                            }
-                        }
-                        [
-                            light * f32x8::simd_from(simd, texels[0]),
-                            light * f32x8::simd_from(simd, texels[1]),
-                            light * f32x8::simd_from(simd, texels[2]),
-                        ]
-                    }
-                    None => [light; 3],
-                };
-                let base = paint.surface.color;
-                let r = to_level(simd, texels[0], base[0]);
-                let g = to_level(simd, texels[1], base[1]);
-                let b = to_level(simd, texels[2], base[2]);
-                let packed = r | (g << 8) | (b << 16);
-                let old = i32x8::from_slice(simd, &slot.color[at..at + RUN]);
-                wins.select(packed, old).store_slice(&mut slot.color[at..at + RUN]);
-            }
+            xs = xs + splat(length as f32);
+            (f0, f1, f2) = (f0 + r0 * length, f1 + r1 * length, f2 + r2 * length);
         }
+        if y == area.bottom {
+            return true;
+        }
+        y += 1;
+        at += STRIDE;
+        (e0, e1, e2) = (e0 + d0, e1 + d1, e2 + d2);
     }
 }
 
-/// An attribute times 1/z where the corners' weights are `b1` and `b2`.
-#[inline(always)]
-fn blend<S: Simd>(simd: S, b1: f32x8<S>, b2: f32x8<S>, [p, q, r]: [f32; 3]) -> f32x8<S> {
-    f32x8::splat(simd, p) + b1 * f32x8::splat(simd, q) + b2 * f32x8::splat(simd, r)
-}
-
-/// Light times base color, rounded to a whole level.
-#[inline(always)]
-fn to_level<S: Simd>(simd: S, light: f32x8<S>, base: f32) -> i32x8<S> {
-    (light * f32x8::splat(simd, base) + f32x8::splat(simd, 0.5)).to_int()
-}
-
-#[inline(always)]
-fn load<S: Simd>(simd: S, plane: &[f32], at: usize) -> f32x8<S> {
-    f32x8::from_slice(simd, &plane[at..at + RUN])
-}
-
-#[inline(always)]
-fn store<S: Simd>(value: f32x8<S>, plane: &mut [f32], at: usize) {
-    value.store_slice(&mut plane[at..at + RUN]);
-}
-
-/// Clamped to 0..1; not-a-number becomes 0.
-#[inline(always)]
-fn unit_range<S: Simd>(simd: S, v: f32x8<S>) -> f32x8<S> {
-    let (zero, one) = (f32x8::splat(simd, 0.0), f32x8::splat(simd, 1.0));
-    let v = v.simd_gt(zero).select(v, zero);
-    v.simd_lt(one).select(v, one)
-}
-
-/// Coverage of a run whose edge functions need 64 bits.
-#[inline(always)]
-fn wide_inside<S: Simd>(simd: S, start: [i64; 3], right: &[i64; 3]) -> mask32x8<S> {
-    let mut bits = 0;
-    for lane in 0..RUN {
-        let step = lane as i64;
-        let values =
-            (start[0] + right[0] * step) | (start[1] + right[1] * step) | (start[2] + right[2] * step);
-        let inside = values >= 0;
-        bits |= u64::from(inside) << lane;
+impl Triangle<'_> {
+    /// Intensity over z; of flat faces intensity itself.
+    #[inline(always)]
+    fn light(&self, weights: &Weights) -> Slope {
+        if self.record.face >= 0.0 {
+            return Slope { origin: f64::from(self.record.face), right: 0.0, down: 0.0 };
+        }
+        let [a, b, c] = self.places;
+        weights.slope(
+            f64::from(a.intensity) * a.w,
+            f64::from(b.intensity) * b.w,
+            f64::from(c.intensity) * c.w,
+        )
     }
-    mask32x8::from_bitmask(simd, bits)
+
+    /// The slopes of normal and intensity.
+    #[inline(always)]
+    fn four<S: Simd>(&self, simd: S, weights: &Weights) -> [f64x4<S>; 3] {
+        let of = |i: usize| self.pen.source.normals.get(i).copied().unwrap_or_default();
+        let ([i, j, k], [a, b, c]) = (self.index, self.places);
+        weights.slopes_over_z(simd, [of(i), of(j), of(k)], [a.w, b.w, c.w])
+    }
+
+    /// The slopes of all other attributes, in the order of the channels.
+    #[inline(never)]
+    fn others(&self, weights: &Weights) -> [Slope; MOST - 1] {
+        let mut slopes = [Slope::default(); MOST - 1];
+        let Pen { channels, source, .. } = self.pen;
+        let ([i, j, k], [a, b, c]) = (self.index, self.places);
+        let mut next = 0;
+        let mut push = |p: &[f32], q: &[f32], r: &[f32]| {
+            for ((p, q), r) in p.iter().zip(q).zip(r) {
+                slopes[next] = weights.slope(f64::from(*p) * a.w, f64::from(*q) * b.w, f64::from(*r) * c.w);
+                next += 1;
+            }
+        };
+        if channels.normals {
+            let of = |i: usize| source.normals.get(i).copied().unwrap_or_default();
+            push(&of(i)[..3], &of(j)[..3], &of(k)[..3]);
+        }
+        if channels.uv {
+            let of = |i: usize| source.uv.get(i).copied().unwrap_or_default().to_array();
+            push(&of(i), &of(j), &of(k));
+        }
+        if channels.colors {
+            let of = |i: usize| source.colors.get(i).copied().unwrap_or(Vec3::ONE).to_array();
+            push(&of(i), &of(j), &of(k));
+        }
+        slopes
+    }
+
+    /// Snapping moves a covered center at most .003 px out of the triangle; slivers must not turn that into any depth
+    /// at all.
+    #[inline(always)]
+    fn kept_near<S: Simd>(&self, simd: S, here: S::f32s) -> S::f32s {
+        let [a, b, c] = self.places;
+        let (least, most) = (a.w.min(b.w).min(c.w), a.w.max(b.w).max(c.w));
+        let reach = (most - least) * 0.5;
+        let low = S::f32s::simd_from(simd, (least - reach).max(least * 0.5) as f32);
+        let high = S::f32s::simd_from(simd, (most + reach) as f32);
+        let here = here.simd_lt(low).select(low, here);
+        high.simd_lt(here).select(high, here)
+    }
 }

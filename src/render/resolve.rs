@@ -1,7 +1,8 @@
-//! From tiles to the layer's planes: 1/z to z, packed color to planes, normals to unit length; tiles that
-//! were covered last time and are not now go back to the background.
+//! From tiles to the layer's planes: 1/z to z, attributes to color, normals to unit length; tiles that were covered
+//! last time and are not now go back to the background.
 
-use super::raster::Slot;
+use super::shade::{Palette, shade_row};
+use super::tile::{STRIDE, Slot};
 use crate::frame::Layer;
 use crate::pixels::simd::{Level, dispatch};
 use crate::pixels::{Plane, PlaneMut, TILE, TileGrid, TileSet};
@@ -13,6 +14,8 @@ struct Tiles<'a> {
     slots: &'a [Slot],
     slot_of: &'a [u32],
     previous: &'a TileSet,
+    /// 1/z that stands for no surface.
+    nothing: f32,
 }
 
 /// What happens to a tile.
@@ -41,6 +44,7 @@ impl<'a> Tiles<'a> {
 pub(super) fn resolve(
     level: Level,
     layer: &mut Layer,
+    palette: &Palette<'_>,
     grid: TileGrid,
     slots: &[Slot],
     slot_of: &[u32],
@@ -49,29 +53,29 @@ pub(super) fn resolve(
     if layer.touched.is_empty() && previous.is_empty() {
         return;
     }
-    let tiles = &Tiles { grid, slots, slot_of, previous };
+    let tiles = &Tiles { grid, slots, slot_of, previous, nothing: palette.nothing };
     if layer.color.size().area() > 0 {
         let [r, g, b] = layer.color.planes.each_mut().map(|p| p.view_mut().par_bands(TILE));
         let depth = layer.depth.view_mut().par_bands(TILE);
         r.zip(g).zip(b).zip(depth).with_max_len(1).for_each(|(((r, g), b), depth)| {
             let (row, mut bands, mut depth) = (r.0 / TILE, [r.1, g.1, b.1], depth.1);
             for (columns, fate) in tiles.of_row(row) {
-                write_depth(level, &mut depth, columns.clone(), &fate, |slot| &slot.w);
-                write_color(level, &mut bands, columns, &fate);
+                write_color(level, palette, &mut bands, &mut depth, columns, &fate);
             }
         });
     } else {
         depth_alone(level, &mut layer.depth, tiles, |slot| &slot.w);
     }
     depth_alone(level, &mut layer.depth2, tiles, |slot| &slot.w2);
-    normals(level, &mut layer.normal, tiles, |slot| (&slot.w, &slot.normal));
+    let first = palette.channels.normal_at();
+    normals(level, &mut layer.normal, tiles, |slot| (&slot.w, &slot.attributes[first..]));
     normals(level, &mut layer.normal2, tiles, |slot| (&slot.w2, &slot.normal2));
 }
 
 fn depth_alone(level: Level, plane: &mut Plane<f32>, tiles: &Tiles<'_>, of: impl Fn(&Slot) -> &[f32] + Sync) {
     plane.view_mut().par_bands(TILE).with_max_len(1).for_each(|(first, mut band)| {
         for (columns, fate) in tiles.of_row(first / TILE) {
-            write_depth(level, &mut band, columns, &fate, &of);
+            write_depth(level, tiles.nothing, &mut band, columns, &fate, &of);
         }
     });
 }
@@ -80,8 +84,11 @@ fn normals(
     level: Level,
     planes: &mut [Plane<f32>; 3],
     tiles: &Tiles<'_>,
-    of: impl Fn(&Slot) -> (&[f32], &[Vec<f32>; 3]) + Sync,
+    of: impl Fn(&Slot) -> (&[f32], &[Vec<f32>]) + Sync,
 ) {
+    if planes[0].size().area() == 0 {
+        return;
+    }
     let [x, y, z] = planes.each_mut().map(|p| p.view_mut().par_bands(TILE));
     x.zip(y).zip(z).with_max_len(1).for_each(|((x, y), z)| {
         let (row, mut bands) = (x.0 / TILE, [x.1, y.1, z.1]);
@@ -92,9 +99,10 @@ fn normals(
                     Fate::Clear => [bx, by, bz].into_iter().for_each(|row| row.fill(0.0)),
                     Fate::Draw(slot) => {
                         let (w, n) = of(slot);
-                        let part = y * TILE..y * TILE + bx.len();
-                        let from = n.each_ref().map(|plane| &plane[part.clone()]);
-                        dispatch!(level, _simd => unit_row(&w[part.clone()], from, [bx, by, bz]));
+                        let part = y * STRIDE..y * STRIDE + bx.len();
+                        let [nx, ny, nz, ..] = n else { continue };
+                        let from = [nx, ny, nz].map(|plane| &plane[part.clone()]);
+                        dispatch!(level, _simd => unit_row(&w[part.clone()], tiles.nothing, from, [bx, by, bz]));
                     }
                 }
             }
@@ -104,6 +112,7 @@ fn normals(
 
 fn write_depth(
     level: Level,
+    nothing: f32,
     band: &mut PlaneMut<'_, f32>,
     columns: std::ops::Range<usize>,
     fate: &Fate<'_>,
@@ -114,56 +123,52 @@ fn write_depth(
         match fate {
             Fate::Clear => out.fill(f32::INFINITY),
             Fate::Draw(slot) => {
-                let w = &of(slot)[y * TILE..y * TILE + out.len()];
-                dispatch!(level, _simd => depth_row(w, out));
+                let w = &of(slot)[y * STRIDE..y * STRIDE + out.len()];
+                dispatch!(level, _simd => depth_row(w, nothing, out));
             }
         }
     }
 }
 
+/// Depth and color.
 fn write_color(
     level: Level,
+    palette: &Palette<'_>,
     bands: &mut [PlaneMut<'_, u8>; 3],
+    depth: &mut PlaneMut<'_, f32>,
     columns: std::ops::Range<usize>,
     fate: &Fate<'_>,
 ) {
-    for y in 0..bands[0].size().height {
-        let [r, g, b] = bands.each_mut().map(|band| &mut band.row_mut(y)[columns.clone()]);
-        match fate {
-            Fate::Clear => [r, g, b].into_iter().for_each(|row| row.fill(0)),
-            Fate::Draw(slot) => {
-                let part = y * TILE..y * TILE + r.len();
-                let (w, color) = (&slot.w[part.clone()], &slot.color[part]);
-                dispatch!(level, _simd => color_row(w, color, [r, g, b]));
-            }
+    let write = |y: usize, depth: &mut [f32], [r, g, b]: [&mut [u8]; 3]| match fate {
+        Fate::Clear => {
+            depth.fill(f32::INFINITY);
+            [r, g, b].into_iter().for_each(|row| row.fill(0));
         }
+        Fate::Draw(slot) => {
+            dispatch!(level, simd => shade_row(simd, palette, slot, y, depth, [r, g, b]));
+        }
+    };
+    for y in 0..depth.size().height {
+        let color = bands.each_mut().map(|band| &mut band.row_mut(y)[columns.clone()]);
+        write(y, &mut depth.row_mut(y)[columns.clone()], color);
     }
 }
 
 #[inline(always)]
-fn depth_row(w: &[f32], out: &mut [f32]) {
+fn depth_row(w: &[f32], nothing: f32, out: &mut [f32]) {
     for (out, &w) in out.iter_mut().zip(w) {
-        *out = if w > 0.0 { 1.0 / w } else { f32::INFINITY };
-    }
-}
-
-#[inline(always)]
-fn color_row(w: &[f32], color: &[i32], out: [&mut [u8]; 3]) {
-    for (k, out) in out.into_iter().enumerate() {
-        for ((out, &w), &color) in out.iter_mut().zip(w).zip(color) {
-            *out = if w > 0.0 { (color >> (8 * k)) as u8 } else { 0 };
-        }
+        *out = if w > nothing { 1.0 / w } else { f32::INFINITY };
     }
 }
 
 /// Divides by the length; no direction and no surface give 0.
 #[inline(always)]
-fn unit_row(w: &[f32], from: [&[f32]; 3], out: [&mut [f32]; 3]) {
+fn unit_row(w: &[f32], nothing: f32, from: [&[f32]; 3], out: [&mut [f32]; 3]) {
     let [ox, oy, oz] = out;
     for (i, &w) in w.iter().enumerate() {
         let (x, y, z) = (from[0][i], from[1][i], from[2][i]);
         let length = (x * x + y * y + z * z).sqrt();
-        let known = w > 0.0 && length > 0.0 && length < f32::INFINITY;
+        let known = w > nothing && length > 0.0 && length < f32::INFINITY;
         (ox[i], oy[i], oz[i]) = if known { (x / length, y / length, z / length) } else { (0.0, 0.0, 0.0) };
     }
 }

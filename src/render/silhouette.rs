@@ -9,10 +9,11 @@
 //! Lines are OpenGL's: one step along the longer axis (x where equal), `line_width` pixels across the other, depth
 //! linear in 1/z along the line. Everything in f64, in bands of tile rows that nothing is shared between.
 
-use super::vertex::Vertex;
+use super::tile::{STRIDE, Slot};
+use super::vertex::{NO_SPOT, Vertex};
 use super::{Instance, View, clip};
 use crate::frame::Layer;
-use crate::pixels::{PlaneMut, TILE, TileGrid, TileSet};
+use crate::pixels::{Plane, PlaneMut, Size, TILE, TileGrid, TileSet};
 use crate::scene::Mesh;
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
@@ -41,6 +42,8 @@ pub(super) struct Silhouette {
     /// Whether each triangle of the instance at hand faces the camera.
     fronts: Vec<bool>,
     lines: Vec<[End; 2]>,
+    /// Camera z of the nearest phantom, which hides lines as it hides surfaces; empty when there is none.
+    shield: Plane<f32>,
     /// Per row of tiles: the tiles with line pixels.
     reached: Vec<[u64; ROW_WORDS]>,
 }
@@ -56,7 +59,8 @@ impl Silhouette {
         let triangles = view.scene.models.iter().map(|model| model.mesh.triangles.len()).max();
         self.fronts.resize(triangles.unwrap_or(0), false);
         self.lines.reserve(known.max(placed.sum()).min(KEPT_LINES));
-        for instance in view.instances {
+        let seen = |instance: &&Instance| !view.scene.models[instance.placed.model].phantom;
+        for instance in view.instances.iter().filter(seen) {
             let mesh = &view.scene.models[instance.placed.model].mesh;
             let edges = mesh.edges();
             self.fronts[..mesh.triangles.len()].par_chunks_mut(1024).enumerate().for_each(
@@ -83,9 +87,24 @@ impl Silhouette {
         }
     }
 
-    /// No lines.
+    /// No lines, no phantoms.
     pub fn clear(&mut self) {
         self.lines.clear();
+        self.shield.resize(Size::new(0, 0), 0.0);
+    }
+
+    /// Takes from the tiles what phantoms hide.
+    pub fn take_shield(&mut self, slots: &[Slot], grid: TileGrid, size: Size, nothing: f32) {
+        self.shield.resize(size, f32::INFINITY);
+        self.shield.fill(f32::INFINITY);
+        for slot in slots {
+            let area = grid.rect(slot.tile);
+            for (y, row) in (area.y0..area.y1).zip(slot.shield.chunks_exact(STRIDE)) {
+                for (z, &w) in self.shield.row_mut(y)[area.x0..area.x1].iter_mut().zip(row) {
+                    *z = if w > nothing { 1.0 / w } else { f32::INFINITY };
+                }
+            }
+        }
     }
 
     /// Draws the listed lines over the layer's depth, after wiping what the tiles of `previous` held; adds the tiles
@@ -97,7 +116,7 @@ impl Silhouette {
             return;
         }
         let Layer { silhouette, depth, touched, .. } = layer;
-        let (lines, depth) = (&self.lines, &*depth);
+        let (lines, depth, shield) = (&self.lines, &*depth, &self.shield);
         let bands = silhouette.view_mut().par_bands(TILE).zip(&mut self.reached).with_max_len(1);
         bands.for_each(|((first, mut out), reached)| {
             let row = first / TILE * grid.columns();
@@ -107,7 +126,7 @@ impl Silhouette {
             }
             let last = (first + out.size().height) as f64;
             let reach = line_width;
-            let mut band = Band { first, out: out.reborrow(), reached, depth, least: 1.0 / far };
+            let mut band = Band { first, out: out.reborrow(), reached, depth, shield, least: 1.0 / far };
             for [a, b] in lines {
                 if a.y.max(b.y) + reach >= first as f64 && a.y.min(b.y) - reach <= last {
                     band.line(*a, *b, line_width / 2.0);
@@ -123,7 +142,7 @@ impl Silhouette {
 
     /// Lists an edge, cut and split where it must be.
     fn add(&mut self, view: &View<'_>, instance: &Instance, edge: [u32; 2]) {
-        let [a, b] = edge.map(|i| &view.vertices[instance.first_vertex + i as usize]);
+        let [a, b] = edge.map(|i| &view.vertices.places[instance.first_vertex + i as usize]);
         let whole = a.w > 0.0 && b.w > 0.0;
         if whole && !(view.field.bends() && clip::may_bend(a, b, view.field)) {
             self.lines.push([a, b].map(End::of));
@@ -147,10 +166,10 @@ impl End {
 /// Whether a triangle is seen counter-clockwise: decided as coverage is, and before the lens where the triangle must
 /// be cut. One without area shows its back.
 fn faces_camera(view: &View<'_>, instance: &Instance, triangle: [u32; 3]) -> bool {
-    let vertices = triangle.map(|i| view.vertices[instance.first_vertex..].get(i as usize));
-    let [Some(a), Some(b), Some(c)] = vertices else { return false };
-    if a.w > 0.0 && b.w > 0.0 && c.w > 0.0 {
-        let [[x0, y0], [x1, y1], [x2, y2]] = [a, b, c].map(|v| v.snapped.map(i64::from));
+    let spots = triangle.map(|i| view.vertices.spots[instance.first_vertex..].get(i as usize));
+    let [Some(&a), Some(&b), Some(&c)] = spots else { return false };
+    if a != NO_SPOT && b != NO_SPOT && c != NO_SPOT {
+        let [[x0, y0], [x1, y1], [x2, y2]] = [a, b, c].map(|spot| spot.map(i64::from));
         return (x1 - x0) * (y2 - y0) < (x2 - x0) * (y1 - y0);
     }
     let mesh = &view.scene.models[instance.placed.model].mesh;
@@ -166,7 +185,8 @@ struct Band<'a> {
     first: usize,
     out: PlaneMut<'a, u8>,
     reached: &'a mut [u64; ROW_WORDS],
-    depth: &'a crate::pixels::Plane<f32>,
+    depth: &'a Plane<f32>,
+    shield: &'a Plane<f32>,
     /// 1/z at the far plane.
     least: f64,
 }
@@ -205,7 +225,11 @@ impl Band<'_> {
     /// Blackens a pixel of the band where the line is in view.
     #[inline(always)]
     fn mark(&mut self, x: usize, y: usize, w: f64) {
-        let z = f64::from(self.depth.at(x, self.first + y));
+        let mut z = self.depth.at(x, self.first + y);
+        if self.shield.size().area() > 0 {
+            z = z.min(self.shield.at(x, self.first + y));
+        }
+        let z = f64::from(z);
         if w >= self.least && w * (1.0 + TOLERANCE) * z >= 1.0 {
             self.out.row_mut(y)[x] = 255;
             self.reached[x / TILE / 64] |= 1 << (x / TILE % 64);

@@ -1,16 +1,27 @@
-//! Vertices: mesh space → camera space → picture, snapped and lit, all in f64.
+//! Vertices: mesh space → camera space → picture, snapped and lit, four at a time, all in f64.
+//!
+//! What the triangles' sorting reads, the snapped `Spot`, stands once more apart from what only drawn triangles read. Every
+//! operation is that of [`Vertex::project`] and [`lit`], so that a vertex has the same bits wherever it comes from.
 
 use super::field::Field;
-use super::{Camera, Needs};
-use crate::scene::{Light, Mesh};
-use glam::{DAffine3, DMat3, DVec3};
+use super::tile::Channels;
+use crate::pixels::simd::{Level, dispatch};
+use crate::scene::Mesh;
+use fearless_simd::{Simd, SimdBase, SimdFrom, f32x4, f64x4, prelude::*};
+use glam::{DAffine3, DMat3, DVec3, Vec3};
 use rayon::prelude::*;
 
 /// Sub-pixel positions a pixel is divided into along each axis.
 pub(super) const SUBPIXELS: f64 = 256.0;
 
+/// A picture position snapped to 1/256 px, in 1/256 px.
+pub(super) type Spot = [i32; 2];
+
+/// The spot of a vertex that has none: its triangles must be cut first, or it is not finite.
+pub(super) const NO_SPOT: Spot = [i32::MIN; 2];
+
 /// A vertex before the lens.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Vertex {
     /// Picture position, px.
     pub x: f64,
@@ -18,31 +29,72 @@ pub(super) struct Vertex {
     pub y: f64,
     /// 1/z in 1/mm; 0 where the triangle must be cut first, NaN where the vertex is not finite.
     pub w: f64,
-    /// Position snapped to 1/256 px, in 1/256 px.
-    pub snapped: [i32; 2],
     /// max(0, n·L) in 0..1.
     pub intensity: f32,
-    /// Unit normal in camera space.
-    pub normal: [f32; 3],
+    /// Its place snapped, or `NO_SPOT`.
+    pub spot: Spot,
+}
+
+impl Default for Vertex {
+    fn default() -> Self {
+        Self { x: 0.0, y: 0.0, w: 0.0, intensity: 0.0, spot: NO_SPOT }
+    }
 }
 
 impl Vertex {
-    /// Puts a camera-space point on the picture; `false` leaves `w` at 0 (to be cut) or NaN.
+    /// Puts a camera-space point on the picture; without a spot `w` stays 0 (to be cut) or is NaN.
     #[inline]
-    pub fn project(&mut self, point: DVec3, near: f64, field: &Field) -> bool {
+    pub fn project(point: DVec3, near: f64, field: &Field) -> Self {
+        let nowhere = |w| Self { w, ..Self::default() };
         if !point.is_finite() {
-            self.w = f64::NAN;
-            return false;
+            return nowhere(f64::NAN);
         }
-        self.w = 0.0;
         if point.z < near {
-            return false;
+            return nowhere(0.0);
         }
         let w = 1.0 / point.z;
-        let Some(px) = field.project(point.x * w, point.y * w) else { return false };
-        (self.x, self.y, self.w) = (px.x, px.y, w);
-        self.snapped = [px.x, px.y].map(|v| (v * SUBPIXELS + 0.5).floor() as i32);
-        true
+        let Some(px) = field.project(point.x * w, point.y * w) else { return nowhere(0.0) };
+        let spot = [px.x, px.y].map(|v| (v * SUBPIXELS + 0.5).floor() as i32);
+        Self { x: px.x, y: px.y, w, intensity: 0.0, spot }
+    }
+}
+
+/// The frame's vertices, those of all instances one after the other.
+#[derive(Default)]
+pub(super) struct Vertices {
+    pub spots: Vec<Spot>,
+    pub places: Vec<Vertex>,
+    /// Unit normals in camera space, and intensity once more; empty when no channel wants them.
+    pub normals: Vec<[f32; 4]>,
+}
+
+/// Vertices that one task places.
+pub(super) const RUN: usize = 1024;
+
+impl Vertices {
+    /// Makes room for at least `count` vertices.
+    pub fn reserve(&mut self, count: usize, channels: Channels) {
+        self.spots.reserve(count.saturating_sub(self.spots.len()));
+        self.places.reserve(count.saturating_sub(self.places.len()));
+        let normals = if channels.normals { count } else { 0 };
+        self.normals.reserve(normals.saturating_sub(self.normals.len()));
+    }
+
+    /// Holds `count` vertices; allocates only to grow.
+    pub fn resize(&mut self, count: usize, channels: Channels) {
+        self.spots.resize(count, NO_SPOT);
+        self.places.resize(count, Vertex::default());
+        self.normals.resize(if channels.normals { count } else { 0 }, [0.0; 4]);
+    }
+
+    /// None, but with room for some.
+    pub fn clear(&mut self) {
+        self.spots.clear();
+        self.spots.reserve(256);
+        self.places.clear();
+        self.places.reserve(256);
+        self.normals.clear();
+        self.normals.reserve(256);
     }
 }
 
@@ -61,32 +113,239 @@ pub(super) fn unit(v: DVec3) -> DVec3 {
     if length > 0.0 && length.is_finite() { v / length } else { DVec3::ZERO }
 }
 
-/// Places all vertices of a mesh; `out` has one element a position.
-pub(super) fn place(
-    mesh: &Mesh,
-    to_camera: &DAffine3,
-    camera: &Camera,
-    field: &Field,
-    light: &Light,
-    needs: Needs,
-    out: &mut [Vertex],
-) {
-    const RUN: usize = 1024;
-    let normals = normal_matrix(to_camera);
-    let towards = light.direction.as_dvec3();
-    let lit =
-        needs.includes(Needs::COLOR) || needs.includes(Needs::NORMAL) || needs.includes(Needs::SECOND_LAYER);
-    out.par_chunks_mut(RUN).enumerate().for_each(|(run, out)| {
-        let first = run * RUN;
-        for (k, vertex) in out.iter_mut().enumerate() {
-            let position = mesh.positions[first + k].as_dvec3();
-            vertex.project(to_camera.transform_point3(position), camera.near, field);
-            if lit {
-                let normal = mesh.normals.get(first + k).copied().unwrap_or_default().as_dvec3();
-                let normal = unit(normals * normal);
-                vertex.normal = normal.as_vec3().to_array();
-                vertex.intensity = normal.dot(towards).max(0.0) as f32;
+/// What one mesh is placed with.
+#[derive(Clone, Copy)]
+pub(super) struct Stand<'a> {
+    pub mesh: &'a Mesh,
+    pub to_camera: &'a DAffine3,
+    pub near: f64,
+    pub field: &'a Field,
+    /// Unit vector towards the light.
+    pub light: Vec3,
+    /// Whether anything is lit.
+    pub lit: bool,
+}
+
+/// Nearest and farthest 1/z of vertices on the picture's side of the near plane, and whether some must be cut.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Depths {
+    pub least: f64,
+    pub most: f64,
+    pub cut: bool,
+}
+
+impl Depths {
+    pub const NONE: Depths = Depths { least: f64::INFINITY, most: 0.0, cut: false };
+
+    pub fn join(self, other: Depths) -> Depths {
+        let (least, most) = (self.least.min(other.least), self.most.max(other.most));
+        Depths { least, most, cut: self.cut | other.cut }
+    }
+}
+
+/// Places all vertices of a mesh from `first` on in the frame's; gives their depths.
+pub(super) fn place(level: Level, stand: Stand<'_>, out: &mut Vertices, first: usize) -> Depths {
+    let range = first..first + stand.mesh.positions.len();
+    let spots = out.spots[range.clone()].par_chunks_mut(RUN);
+    let places = out.places[range.clone()].par_chunks_mut(RUN);
+    let run = |(k, (spots, places)): (usize, (&mut [Spot], &mut [Vertex])), normals: &mut [[f32; 4]]| dispatch!(level, simd => place_run(simd, &stand, k * RUN, spots, places, normals));
+    let both = spots.zip(places).enumerate();
+    if out.normals.is_empty() {
+        return both.map(|part| run(part, &mut [])).reduce(|| Depths::NONE, Depths::join);
+    }
+    let normals = out.normals[range].par_chunks_mut(RUN);
+    both.zip(normals).map(|(part, normals)| run(part, normals)).reduce(|| Depths::NONE, Depths::join)
+}
+
+/// Vertices of a batch.
+const BATCH: usize = 4;
+
+/// Three coordinates of four points.
+type Points<S> = [f64x4<S>; 3];
+
+#[inline(always)]
+fn place_run<S: Simd>(
+    simd: S,
+    stand: &Stand<'_>,
+    first: usize,
+    spots: &mut [Spot],
+    places: &mut [Vertex],
+    normals: &mut [[f32; 4]],
+) -> Depths {
+    let m = &stand.to_camera.matrix3;
+    let turn = normal_matrix(stand.to_camera);
+    let light = stand.light.as_dvec3();
+    let positions = &stand.mesh.positions[first..first + spots.len()];
+    let given = stand.mesh.normals.get(first..).unwrap_or_default();
+    let mut least = f64x4::splat(simd, f64::INFINITY);
+    let mut most = f64x4::splat(simd, 0.0);
+    let mut cut = false;
+    let zero = f64x4::splat(simd, 0.0);
+    for (batch, points) in positions.chunks(BATCH).enumerate() {
+        let at = batch * BATCH;
+        let p = turned(simd, m, gather(simd, points));
+        let t = stand.to_camera.translation;
+        let (x, y, z) = (p[0] + t.x, p[1] + t.y, p[2] + t.z);
+        // not finite minus itself is not a number
+        let finite = ((x - x) + (y - y) + (z - z)).simd_eq(zero);
+        let w = f64x4::splat(simd, 1.0) / z;
+        let (px, py, inside) = stand.field.project_four(simd, x * w, y * w);
+        let whole = finite & inside & z.simd_ge(f64x4::splat(simd, stand.near));
+        let w = whole.select(w, finite.select(zero, f64x4::splat(simd, f64::NAN)));
+        let (px, py) = (whole.select(px, zero), whole.select(py, zero));
+        // the sum's last 32 bits are the whole number
+        let magic = f64x4::splat(simd, 6_755_399_441_055_744.0);
+        let half = f64x4::splat(simd, 0.5);
+        let (sx, sy) = ((px * SUBPIXELS + half).floor() + magic, (py * SUBPIXELS + half).floor() + magic);
+        let seen = whole.to_bitmask();
+        let counted = points.len();
+        if counted == BATCH && seen == 15 {
+            least = w.simd_lt(least).select(w, least);
+            most = most.simd_lt(w).select(w, most);
+        }
+
+        let mut intensity = [0.0f32; BATCH];
+        if stand.lit {
+            let n = turned(simd, &turn, gather(simd, given.get(at..).unwrap_or_default()));
+            let length = (n[0] * n[0] + n[1] * n[1] + n[2] * n[2]).sqrt();
+            let known = length.simd_gt(zero) & length.simd_lt(f64x4::splat(simd, f64::INFINITY));
+            let nx = known.select(n[0] / length, zero);
+            let ny = known.select(n[1] / length, zero);
+            let nz = known.select(n[2] / length, zero);
+            let lit = nx * light.x + ny * light.y + nz * light.z;
+            let lit = lit.simd_gt(zero).select(lit, zero);
+            narrow(simd, lit).store_slice(&mut intensity);
+            if let Some(normals) = normals.get_mut(at..at + counted) {
+                let (mut a, mut b, mut c) = ([0.0f32; BATCH], [0.0f32; BATCH], [0.0f32; BATCH]);
+                narrow(simd, nx).store_slice(&mut a);
+                narrow(simd, ny).store_slice(&mut b);
+                narrow(simd, nz).store_slice(&mut c);
+                for (k, normal) in normals.iter_mut().enumerate() {
+                    *normal = [a[k], b[k], c[k], intensity[k]];
+                }
             }
         }
-    });
+        let (x, y, w, sx, sy) = (px.to_array(), py.to_array(), w.to_array(), sx.to_array(), sy.to_array());
+        for (k, (spot, place)) in spots[at..].iter_mut().zip(&mut places[at..]).take(BATCH).enumerate() {
+            let snapped = [sx[k].to_bits() as i32, sy[k].to_bits() as i32];
+            *spot = if seen >> k & 1 == 1 { snapped } else { NO_SPOT };
+            *place = Vertex { x: x[k], y: y[k], w: w[k], intensity: intensity[k], spot: *spot };
+        }
+        if counted < BATCH || seen != 15 {
+            for &w in &w[..counted] {
+                cut |= w == 0.0;
+                if w > 0.0 {
+                    (least[0], most[0]) = (least[0].min(w), most[0].max(w));
+                }
+            }
+        }
+    }
+    let (least, most) = (least.to_array(), most.to_array());
+    Depths {
+        least: least.into_iter().fold(f64::INFINITY, f64::min),
+        most: most.into_iter().fold(0.0, f64::max),
+        cut,
+    }
+}
+
+/// Up to four points side by side; the rest is zero.
+#[inline(always)]
+fn gather<S: Simd>(simd: S, points: &[Vec3]) -> Points<S> {
+    let (mut x, mut y, mut z) = ([0.0f32; BATCH], [0.0f32; BATCH], [0.0f32; BATCH]);
+    match points.first_chunk::<BATCH>() {
+        Some(points) => {
+            for (k, point) in points.iter().enumerate() {
+                (x[k], y[k], z[k]) = (point.x, point.y, point.z);
+            }
+        }
+        None => {
+            for (k, point) in points.iter().enumerate().take(BATCH) {
+                (x[k], y[k], z[k]) = (point.x, point.y, point.z);
+            }
+        }
+    }
+    [widen(simd, x), widen(simd, y), widen(simd, z)]
+}
+
+/// The points times the matrix, summed as glam does.
+#[inline(always)]
+fn turned<S: Simd>(simd: S, m: &DMat3, [x, y, z]: Points<S>) -> Points<S> {
+    let (a, b, c) = (m.x_axis, m.y_axis, m.z_axis);
+    let of = |v: f64| f64x4::splat(simd, v);
+    [
+        x * of(a.x) + y * of(b.x) + z * of(c.x),
+        x * of(a.y) + y * of(b.y) + z * of(c.y),
+        x * of(a.z) + y * of(b.z) + z * of(c.z),
+    ]
+}
+
+#[inline(always)]
+pub(super) fn widen<S: Simd>(simd: S, v: [f32; BATCH]) -> f64x4<S> {
+    let (low, high) = simd.widen_f32x4(f32x4::simd_from(simd, v));
+    simd.combine_f64x2(low, high)
+}
+
+#[inline(always)]
+pub(super) fn narrow<S: Simd>(simd: S, v: f64x4<S>) -> f32x4<S> {
+    let (low, high) = simd.split_f64x4(v);
+    simd.narrow_f64x2(low, high)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::Lens;
+    use crate::pixels::{Size, SplitMix64, simd};
+
+    /// Every batch against the single vertex: the same bits, at every level, whatever the lens and the numbers.
+    #[test]
+    fn batches_are_single_vertices() {
+        let mut rng = SplitMix64::new(4);
+        let mut mesh = Mesh::default();
+        for k in 0..4099 {
+            let mut any = || (rng.f64() - 0.5) as f32;
+            let odd = [f32::NAN, f32::INFINITY, 1e30, 0.0, -1e-30];
+            let point = Vec3::new(any() * 8.0, any() * 6.0, any() * 12.0);
+            mesh.positions.push(if k % 37 == 5 { point.with_x(odd[k / 37 % 5]) } else { point });
+            mesh.normals.push(if k % 41 == 0 { Vec3::ZERO } else { Vec3::new(any(), any(), any()) });
+        }
+        mesh.normals.truncate(4090);
+        let mut lens = Lens::guess(Size::new(640, 480));
+        for distortion in [[0.0; 8], [-0.25, 0.05, 1e-3, -5e-4, 0.01, 0.02, 0.01, 0.0]] {
+            lens.distortion = distortion;
+            let field = Field::new(lens);
+            let matrix3 = DMat3::from_rotation_y(0.4) * DMat3::from_rotation_x(2.0) * 1.7;
+            let to_camera = DAffine3 { matrix3, translation: DVec3::new(0.3, 0.1, 4.0) };
+            let light = Vec3::new(-0.4, -0.6, -0.69);
+            let stand =
+                Stand { mesh: &mesh, to_camera: &to_camera, near: 0.5, field: &field, light, lit: true };
+            for level in simd::available() {
+                let mut out = Vertices::default();
+                out.resize(mesh.positions.len(), Channels { normals: true, ..Channels::default() });
+                let depths = place(level, stand, &mut out, 0);
+                let mut expected = Depths::NONE;
+                for (k, position) in mesh.positions.iter().enumerate() {
+                    let point = to_camera.transform_point3(position.as_dvec3());
+                    let mut vertex = Vertex::project(point, 0.5, &field);
+                    let normal = mesh.normals.get(k).copied().unwrap_or_default().as_dvec3();
+                    let normal = unit(normal_matrix(&to_camera) * normal);
+                    vertex.intensity = normal.dot(light.as_dvec3()).max(0.0) as f32;
+                    let w = vertex.w;
+                    let depth = if w > 0.0 { Depths { least: w, most: w, cut: false } } else { Depths::NONE };
+                    expected = expected.join(Depths { cut: w == 0.0, ..depth });
+                    let bits = |v: Vertex| ([v.x, v.y, v.w].map(f64::to_bits), v.intensity.to_bits());
+                    assert_eq!(out.spots[k], vertex.spot, "vertex {k} {}", simd::name(level));
+                    assert_eq!(out.places[k].spot, vertex.spot, "vertex {k} {}", simd::name(level));
+                    assert_eq!(bits(out.places[k]), bits(vertex), "vertex {k} {}", simd::name(level));
+                    assert_eq!(Vec3::from_slice(&out.normals[k]), normal.as_vec3(), "vertex {k}");
+                    assert_eq!(out.normals[k][3], vertex.intensity, "vertex {k}");
+                }
+                assert_eq!(
+                    (depths.least, depths.most, depths.cut),
+                    (expected.least, expected.most, expected.cut)
+                );
+                assert!(expected.cut && expected.most > 0.5);
+            }
+        }
+    }
 }

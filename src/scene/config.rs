@@ -56,6 +56,10 @@ pub struct ModelConfig {
     /// color of its own and always visibly; the others as any model.
     #[serde(default)]
     pub secondary: bool,
+    /// A stand-in for a real thing on the table: not drawn itself, it hides the models behind it, so that the camera
+    /// picture shows in their place.
+    #[serde(default)]
+    pub phantom: bool,
 }
 
 /// Which printed marker: a code of a family, or a picture of one's own.
@@ -262,6 +266,7 @@ impl ModelConfig {
             },
             cull_back: self.cull_back,
             secondary: self.secondary,
+            phantom: self.phantom,
         })
     }
 

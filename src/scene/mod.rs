@@ -57,6 +57,8 @@ pub struct Model {
     pub cull_back: bool,
     /// Whether it is secondary geometry: what is inside, for styles that look through surfaces.
     pub secondary: bool,
+    /// Whether it is a stand-in for a real thing: not seen itself, it hides what is behind it.
+    pub phantom: bool,
 }
 
 /// Which printed marker carries a model.

@@ -3,17 +3,19 @@
 //! Bounds: on pixels further than 1/256 px from every edge no coverage mismatch, colors within 1 level,
 //! depths within 1e-4 relative; both layers. The same bytes for every thread count and SIMD level.
 
-mod reference;
+mod shading;
 mod silhouette;
+mod skip;
+mod stress;
 mod views;
 
 use glam::{DAffine3, DMat3, DVec2, DVec3, Vec3};
-use reference::Picture;
 use std::sync::Arc;
 use vernissage::frame::{Layer, Needs};
 use vernissage::geometry::Lens;
 use vernissage::marker::Family;
 use vernissage::pixels::{Plane, Rgb, Size, SplitMix64, simd};
+use vernissage::render::reference::{self, Difference, Picture};
 use vernissage::render::{Camera, Placed, Renderer};
 use vernissage::scene::{Anchor, Light, Material, Mesh, Model, Scene, Shading, builtin};
 
@@ -23,33 +25,31 @@ pub fn scene(mesh: Mesh, shading: Shading, cull_back: bool) -> Scene {
     let anchor = Anchor { family: Family::Tag36h11, id: None, side_mm: 100.0 };
     let to_marker = DAffine3::IDENTITY;
     let mesh = mesh.into();
-    let model = Model { name: "test".into(), mesh, anchor, to_marker, shading, cull_back, secondary: false };
+    let model = Model {
+        name: "test".into(),
+        mesh,
+        anchor,
+        to_marker,
+        shading,
+        cull_back,
+        secondary: false,
+        phantom: false,
+    };
     Scene { models: vec![model], ..Scene::default() }
 }
 
-fn camera(width: usize, height: usize, near: f64, far: f64) -> Camera {
+pub fn camera(width: usize, height: usize, near: f64, far: f64) -> Camera {
     Camera { lens: Lens::guess(Size::new(width, height)), near, far }
 }
 
 /// Away from the camera by `distance`, turned so that nothing is axis-parallel.
-fn turned(distance: f64, scale: f64) -> Placed {
+pub fn turned(distance: f64, scale: f64) -> Placed {
     let turn = DMat3::from_rotation_y(0.5) * DMat3::from_rotation_x(2.7);
     let to_camera = DAffine3 {
         matrix3: turn * scale,
         translation: DVec3::new(0.1 * distance, 0.05 * distance, distance),
     };
     Placed { model: 0, to_camera }
-}
-
-/// What a comparison found; everything must be within the bounds.
-#[derive(Debug, Default)]
-struct Found {
-    covered: usize,
-    coverage_mismatches: usize,
-    worst_depth: f64,
-    worst_color: f64,
-    worst_normal: f64,
-    excused: usize,
 }
 
 fn level(shading: Shading, fragment: &reference::Fragment) -> f64 {
@@ -80,29 +80,16 @@ fn steps_at(fragment: &reference::Fragment, step: f64) -> bool {
     fragment.normal.dot(Light::default().direction.as_dvec3()) > step
 }
 
-fn compare(label: &str, layer: &Layer, picture: &Picture, shading: Shading) {
-    let mut found = Found::default();
+/// Within the bounds: coverage exact, depths 1e-4 relative, colors one level.
+pub fn compare(label: &str, layer: &Layer, picture: &Picture, shading: Shading) -> Difference {
+    let found = Difference::of(layer, picture);
+    let mut color = 0.0f64;
     for (pixel, &near_edge) in picture.near_edge.iter().enumerate() {
         if near_edge || picture.order_is_close(pixel) {
-            found.excused += 1;
             continue;
         }
         let (x, y) = (pixel % picture.width, pixel / picture.width);
-        let layers = picture.layers(pixel);
-        let planes = [(&layer.depth, &layer.normal), (&layer.depth2, &layer.normal2)];
-        for (expected, (depth, normal)) in layers.into_iter().zip(planes) {
-            let depth = f64::from(depth.at(x, y));
-            if expected.is_some() != depth.is_finite() {
-                found.coverage_mismatches += 1;
-                continue;
-            }
-            let Some(expected) = expected else { continue };
-            found.covered += 1;
-            found.worst_depth = found.worst_depth.max((depth / expected.depth - 1.0).abs());
-            let normal = DVec3::from_array([0, 1, 2].map(|k| f64::from(normal[k].at(x, y))));
-            found.worst_normal = found.worst_normal.max((normal - expected.normal).abs().max_element());
-        }
-        let Some(first) = layers[0] else { continue };
+        let Some(first) = picture.layers(pixel)[0] else { continue };
         let step = (first.smooth * 32.0).fract();
         if matches!(shading, Shading::Toon { .. }) && !(1e-3..=0.999).contains(&step) {
             continue; // a step of the ramp decided by rounding
@@ -114,22 +101,30 @@ fn compare(label: &str, layer: &Layer, picture: &Picture, shading: Shading) {
         }
         let expected = level(shading, &first);
         for value in layer.color.at(x, y) {
-            found.worst_color = found.worst_color.max((f64::from(value) - expected).abs());
+            color = color.max((f64::from(value) - expected).abs());
         }
     }
-    println!("{label}: {found:?}");
-    assert_eq!(found.coverage_mismatches, 0, "{label}: {found:?}");
-    assert!(found.worst_depth <= 1e-4, "{label}: {found:?}");
+    println!("{label}: {found:?}, color {color:.3}");
+    assert_eq!(found.coverage, 0, "{label}: {found:?}");
+    assert!(found.depth <= 1e-4, "{label}: {found:?}");
     // half a level is rounding
-    assert!(found.worst_color <= 1.0, "{label}: {found:?}");
+    assert!(color <= 1.0, "{label}: color {color}");
+    found
 }
 
-fn check(label: &str, mesh: Mesh, placed: Placed, camera: Camera, shading: Shading, cull_back: bool) {
+pub fn check(
+    label: &str,
+    mesh: Mesh,
+    placed: Placed,
+    camera: Camera,
+    shading: Shading,
+    cull_back: bool,
+) -> Difference {
     let scene = scene(mesh, shading, cull_back);
     let mut renderer = Renderer::new(simd::best());
     let layer = renderer.draw(&scene, &[placed], &camera, EVERYTHING);
     let picture = reference::draw(&scene.models[0].mesh, &placed, &camera, &scene.light, cull_back);
-    compare(label, layer, &picture, shading);
+    compare(label, layer, &picture, shading)
 }
 
 #[test]
@@ -163,7 +158,7 @@ fn builtin_models_match_the_reference() {
 }
 
 /// `count` triangles whose corners spread `spread` around random points of the view.
-fn soup(rng: &mut SplitMix64, count: usize, near_z: f64, far_z: f64, spread: f64) -> Mesh {
+pub fn soup(rng: &mut SplitMix64, count: usize, near_z: f64, far_z: f64, spread: f64) -> Mesh {
     let mut mesh = Mesh::default();
     let around = |rng: &mut SplitMix64| 2.0 * rng.f64() - 1.0;
     for t in 0..count as u32 {
@@ -370,7 +365,7 @@ fn the_teapot_outline_follows_the_lens() {
     }
 }
 
-fn same(a: &Layer, b: &Layer) -> bool {
+pub fn same(a: &Layer, b: &Layer) -> bool {
     a.color == b.color
         && a.depth == b.depth
         && a.normal == b.normal

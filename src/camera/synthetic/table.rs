@@ -87,6 +87,7 @@ fn model(name: &str, mesh: Mesh) -> Model {
         shading: Shading::Smooth,
         cull_back: false,
         secondary: false,
+        phantom: false,
     }
 }
 

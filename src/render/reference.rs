@@ -1,22 +1,27 @@
 //! The rules of drawing, written down plainly in f64: one triangle after the other, every pixel of its box,
 //! all fragments of a pixel kept and sorted at the end. No tiles, no threads, no tricks. Undistorted lenses.
 
+use super::{Camera, Placed};
+use crate::frame::Layer;
+use crate::scene::{Light, Mesh};
 use glam::DVec3;
-use vernissage::render::{Camera, Placed};
-use vernissage::scene::{Light, Mesh};
 
 /// One surface seen through a pixel.
 #[derive(Clone, Copy, Debug)]
 pub struct Fragment {
+    /// Camera z.
     pub depth: f64,
+    /// Unit normal in camera space, or zero.
     pub normal: DVec3,
-    /// Interpolated intensity of the vertices, and that of the face.
+    /// Interpolated intensity of the vertices.
     pub smooth: f64,
+    /// That of the face.
     pub flat: f64,
 }
 
 /// A drawn picture.
 pub struct Picture {
+    /// Pixels of a row.
     pub width: usize,
     /// Fragments of each pixel, nearest first, equal depths in submission order.
     pub fragments: Vec<Vec<Fragment>>,
@@ -58,16 +63,17 @@ pub fn draw(mesh: &Mesh, placed: &Placed, camera: &Camera, light: &Light, cull_b
     let normals = placed.to_camera.matrix3.inverse().transpose();
     let towards = light.direction.as_dvec3();
     for triangle in &mesh.triangles {
+        let at = |i: u32| mesh.positions.get(i as usize).map_or(DVec3::NAN, |p| p.as_dvec3());
         let corners = triangle.map(|i| {
             let normal = mesh.normals.get(i as usize).copied().unwrap_or_default().as_dvec3();
             let normal = (normals * normal).normalize_or_zero();
-            let point = placed.to_camera.transform_point3(mesh.positions[i as usize].as_dvec3());
+            let point = placed.to_camera.transform_point3(at(i));
             Corner { point, normal, intensity: normal.dot(towards).max(0.0) }
         });
         if corners.iter().any(|c| !c.point.is_finite()) {
             continue;
         }
-        let [a, b, c] = triangle.map(|i| mesh.positions[i as usize].as_dvec3());
+        let [a, b, c] = triangle.map(at);
         let flat = (normals * (b - a).cross(c - a)).normalize_or_zero().dot(towards).max(0.0);
         let polygon = clip_near(&corners, camera.near);
         for k in 2..polygon.len() {
@@ -170,5 +176,52 @@ fn fill(corners: [Corner; 3], flat: f64, camera: &Camera, cull_back: bool, pictu
                 flat,
             });
         }
+    }
+}
+
+/// How far a drawn layer is from the reference, on pixels where rounding cannot decide.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Difference {
+    /// Surfaces compared, of both layers where both are drawn.
+    pub covered: usize,
+    /// Pixels left out: near an edge, or with two surfaces too close to tell.
+    pub excused: usize,
+    /// Surfaces where there should be none, or the other way round.
+    pub coverage: usize,
+    /// Largest difference of depth, relative.
+    pub depth: f64,
+    /// Largest difference of a normal's component; 0 where no normals are drawn.
+    pub normal: f64,
+}
+
+impl Difference {
+    /// Compares all that the layer has beside colors.
+    pub fn of(layer: &Layer, picture: &Picture) -> Self {
+        let mut found = Self::default();
+        let planes = [(&layer.depth, &layer.normal), (&layer.depth2, &layer.normal2)];
+        for (pixel, &near_edge) in picture.near_edge.iter().enumerate() {
+            if near_edge || picture.order_is_close(pixel) {
+                found.excused += 1;
+                continue;
+            }
+            let (x, y) = (pixel % picture.width, pixel / picture.width);
+            for (expected, (depth, normal)) in picture.layers(pixel).into_iter().zip(planes) {
+                if depth.size().area() == 0 {
+                    continue;
+                }
+                let drawn = f64::from(depth.at(x, y));
+                let Some(expected) = expected.filter(|_| drawn.is_finite()) else {
+                    found.coverage += usize::from(expected.is_some() != drawn.is_finite());
+                    continue;
+                };
+                found.covered += 1;
+                found.depth = found.depth.max((drawn / expected.depth - 1.0).abs());
+                if normal[0].size().area() > 0 {
+                    let normal = DVec3::from_array([0, 1, 2].map(|k| f64::from(normal[k].at(x, y))));
+                    found.normal = found.normal.max((normal - expected.normal).abs().max_element());
+                }
+            }
+        }
+        found
     }
 }

@@ -1,0 +1,223 @@
+//! Eight triangles at a time, by their spots alone: which may cover a pixel center, which must be looked at singly.
+
+use super::vertex::{NO_SPOT, Spot};
+use crate::pixels::{Size, TILE};
+use fearless_simd::{Simd, SimdBase, i32x8, mask32x8, prelude::*};
+
+/// Triangles of a batch.
+pub(super) const BATCH: usize = 8;
+/// What small means, in 1/256 px: products of differences fit in 32 bits.
+pub(super) const SMALL: i32 = 1 << 14;
+/// Of a pixel coordinate's bits, those within a tile.
+const TILE_SHIFT: u32 = TILE.trailing_zeros();
+
+/// What triangles are sorted by.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Rules {
+    /// The picture, and its tiles in a row.
+    pub size: Size,
+    pub columns: usize,
+    pub cull_back: bool,
+    /// Triangles whose box is smaller, 1/256 px, need no second look; at most `SMALL`.
+    pub reach: i32,
+    /// Whether the lens may bend larger ones into the picture.
+    pub bends: bool,
+}
+
+/// A batch of triangles by their spots; a bit a triangle.
+pub(super) struct Sorted {
+    /// Small ones that may cover a pixel center and are not culled.
+    pub small: u32,
+    /// Those that must be looked at singly.
+    pub others: u32,
+    /// Of the small ones, those wound counter-clockwise as seen.
+    pub front: u32,
+    /// Pixels the small ones may cover: left in the low 16 bits and top in the high ones, right and bottom.
+    pub lows: [i32; BATCH],
+    pub highs: [i32; BATCH],
+    /// The tile that holds them, or `SEVERAL`.
+    pub tiles: [i32; BATCH],
+}
+
+/// Not one tile.
+pub(super) const SEVERAL: i32 = -1;
+
+/// The corners of a batch, x and y apart.
+type Side<S> = (i32x8<S>, i32x8<S>);
+
+impl Sorted {
+    #[inline(always)]
+    pub fn new<S: Simd>(
+        simd: S,
+        rules: &Rules,
+        a: &[Spot; BATCH],
+        b: &[Spot; BATCH],
+        c: &[Spot; BATCH],
+    ) -> Self {
+        let (a, b, c) = (apart(simd, a), apart(simd, b), apart(simd, c));
+        let of = |v: i32| i32x8::splat(simd, v);
+        let none = of(NO_SPOT[0]);
+        let missing = a.0.simd_eq(none) | b.0.simd_eq(none) | c.0.simd_eq(none);
+        let (x0, x1) = (a.0.min(b.0).min(c.0), a.0.max(b.0).max(c.0));
+        let (y0, y1) = (a.1.min(b.1).min(c.1), a.1.max(b.1).max(c.1));
+        let reach = of(rules.reach);
+        let small = (x1 - x0).simd_lt(reach) & (y1 - y0).simd_lt(reach);
+        let size = rules.size;
+        let left = ((x0 + of(255)) >> 8).max(of(0));
+        let top = ((y0 + of(255)) >> 8).max(of(0));
+        let right = (x1 >> 8).min(of(size.width as i32 - 1));
+        let bottom = (y1 >> 8).min(of(size.height as i32 - 1));
+        let empty = left.simd_gt(right) | top.simd_gt(bottom);
+        let far_off = if rules.bends { mask32x8::splat(simd, false) } else { empty };
+        let others = missing | !(small | far_off);
+
+        let area = (b.0 - a.0) * (c.1 - a.1) - (c.0 - a.0) * (b.1 - a.1);
+        let front = area.simd_lt(of(0));
+        let kept = if rules.cull_back { front } else { !area.simd_eq(of(0)) };
+        let mut alive = kept & !empty & !others;
+        let (wide, high) = (right - left, bottom - top);
+        let tiny = alive & wide.simd_le(of(1)) & high.simd_le(of(1));
+        if tiny.any_true() {
+            // wound clockwise
+            let (p, q) = (pick(front, c, b), pick(front, b, c));
+            let corner = (left << 8, top << 8);
+            let (e0, r0, d0) = edge(simd, corner, a, p);
+            let (e1, r1, d1) = edge(simd, corner, p, q);
+            let (e2, r2, d2) = edge(simd, corner, q, a);
+            let (wide, high) = (wide << 8, high << 8);
+            let (r0, r1, r2) = (r0 * wide, r1 * wide, r2 * wide);
+            let (d0, d1, d2) = (d0 * high, d1 * high, d2 * high);
+            let covered = (e0 | e1 | e2).simd_ge(of(0))
+                | ((e0 + r0) | (e1 + r1) | (e2 + r2)).simd_ge(of(0))
+                | ((e0 + d0) | (e1 + d1) | (e2 + d2)).simd_ge(of(0))
+                | ((e0 + r0 + d0) | (e1 + r1 + d1) | (e2 + r2 + d2)).simd_ge(of(0));
+            alive = alive & (covered | !tiny);
+        }
+        let (mut lows, mut highs, mut tiles) = ([0; BATCH], [0; BATCH], [0; BATCH]);
+        (left | (top << 16)).store_slice(&mut lows);
+        (right | (bottom << 16)).store_slice(&mut highs);
+        let one = ((left ^ right) | (top ^ bottom)).simd_lt(of(TILE as i32));
+        let tile = (top >> TILE_SHIFT) * of(rules.columns as i32) + (left >> TILE_SHIFT);
+        one.select(tile, of(SEVERAL)).store_slice(&mut tiles);
+        Self {
+            small: alive.to_bitmask() as u32,
+            others: others.to_bitmask() as u32,
+            front: front.to_bitmask() as u32,
+            lows,
+            highs,
+            tiles,
+        }
+    }
+}
+
+#[inline(always)]
+fn apart<S: Simd>(simd: S, spots: &[Spot; BATCH]) -> Side<S> {
+    let flat = spots.as_flattened();
+    i32x8::from_slice(simd, &flat[..BATCH]).deinterleave(i32x8::from_slice(simd, &flat[BATCH..]))
+}
+
+#[inline(always)]
+fn pick<S: Simd>(mask: mask32x8<S>, yes: Side<S>, no: Side<S>) -> Side<S> {
+    (mask.select(yes.0, no.0), mask.select(yes.1, no.1))
+}
+
+/// An edge function at a pixel center, below 0 outside by the fill rule, and its steps for 1/256 px.
+#[inline(always)]
+fn edge<S: Simd>(simd: S, at: Side<S>, from: Side<S>, to: Side<S>) -> (i32x8<S>, i32x8<S>, i32x8<S>) {
+    let zero = i32x8::splat(simd, 0);
+    let (right, down) = (from.1 - to.1, to.0 - from.0);
+    let owned = right.simd_gt(zero) | (right.simd_eq(zero) & down.simd_gt(zero));
+    let value = right * (at.0 - from.0) + down * (at.1 - from.1);
+    (value - owned.select(zero, i32x8::splat(simd, 1)), right, down)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::pixels::SplitMix64;
+    use crate::pixels::simd::{self, dispatch};
+
+    /// Whether a pixel center is inside, by the contract's words.
+    fn covers(p: [Spot; 3], x: i64, y: i64) -> bool {
+        (0..3).all(|k| {
+            let [[x0, y0], [x1, y1]] = [p[k], p[(k + 1) % 3]].map(|spot| spot.map(i64::from));
+            let side = (x1 - x0) * (256 * y - y0) - (y1 - y0) * (256 * x - x0);
+            let top_left = y1 < y0 || (y1 == y0 && x1 > x0);
+            side > 0 || (side == 0 && top_left)
+        })
+    }
+
+    #[test]
+    fn batches_are_single_triangles() {
+        let mut rng = SplitMix64::new(15);
+        let size = Size::new(200, 150);
+        let (mut dead, mut kept, mut odd) = (0, 0, 0);
+        for round in 0..6000 {
+            let rules = Rules {
+                size,
+                columns: size.width.div_ceil(TILE),
+                cull_back: round % 2 == 1,
+                reach: [SMALL, 5000][round % 3 / 2],
+                bends: round % 5 == 0,
+            };
+            let spread = [100, 400, 3000, 60_000][round % 4];
+            let mut corners = [[NO_SPOT; BATCH]; 3];
+            for k in 0..BATCH {
+                let middle = [rng.int(-2000, 53_000), rng.int(-2000, 40_000)];
+                for corner in &mut corners {
+                    corner[k] = middle.map(|v| (v + rng.int(-spread, spread)) as i32);
+                    if rng.int(0, 9) == 0 {
+                        corner[k] = corner[k].map(|v| v / 128 * 128); // on centers and between them
+                    }
+                }
+            }
+            if round % 7 == 0 {
+                corners[round % 3][round % BATCH] = NO_SPOT;
+            }
+            let [a, b, c] = corners;
+            for level in simd::available() {
+                let sorted = dispatch!(level, simd => Sorted::new(simd, &rules, &a, &b, &c));
+                for k in 0..BATCH {
+                    let p = [a[k], b[k], c[k]];
+                    let is = |bits: u32| bits >> k & 1 == 1;
+                    let (low, high) = (
+                        [0, 1].map(|i| p.map(|v| v[i]).into_iter().min()),
+                        [0, 1].map(|i| p.map(|v| v[i]).into_iter().max()),
+                    );
+                    let (low, high) = (low.map(|v| v.unwrap_or(0)), high.map(|v| v.unwrap_or(0)));
+                    let missing = p.contains(&NO_SPOT);
+                    let large = !missing && (0..2).any(|i| high[i] - low[i] >= rules.reach);
+                    let first = low.map(|v| ((i64::from(v) + 255) >> 8).max(0));
+                    let last = [(high[0] >> 8).min(199), (high[1] >> 8).min(149)].map(i64::from);
+                    let empty = (0..2).any(|i| first[i] > last[i]);
+                    assert_eq!(is(sorted.others), missing || (large && (rules.bends || !empty)), "{p:?}");
+                    if missing || large {
+                        assert!(!is(sorted.small));
+                        odd += 1;
+                        continue;
+                    }
+                    let [[x0, y0], [x1, y1], [x2, y2]] = p.map(|spot| spot.map(i64::from));
+                    let area = (x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0);
+                    let wound = if area < 0 { [p[0], p[2], p[1]] } else { p };
+                    let hit = (first[1]..=last[1]).any(|y| (first[0]..=last[0]).any(|x| covers(wound, x, y)));
+                    let drawn = area != 0 && !empty && !(rules.cull_back && area > 0);
+                    // what covers a center is kept; what does not is dropped in small boxes
+                    let tiny = (0..2).all(|i| last[i] - first[i] <= 1);
+                    assert_eq!(is(sorted.small), drawn && (hit || !tiny), "{p:?} {}", simd::name(level));
+                    dead += usize::from(drawn && !hit && tiny);
+                    if !is(sorted.small) {
+                        continue;
+                    }
+                    kept += 1;
+                    assert_eq!(is(sorted.front), area < 0);
+                    let halves = |v: i32| [i64::from(v & 0xffff), i64::from(v >> 16)];
+                    assert_eq!((halves(sorted.lows[k]), halves(sorted.highs[k])), (first, last));
+                    let tile = |x: i64, y: i64| (y / 64 * 4 + x / 64) as i32;
+                    let (from, to) = (tile(first[0], first[1]), tile(last[0], last[1]));
+                    assert_eq!(sorted.tiles[k], if from == to { from } else { SEVERAL });
+                }
+            }
+        }
+        assert!(dead > 3000 && kept > 30_000 && odd > 10_000, "{dead} {kept} {odd}");
+    }
+}

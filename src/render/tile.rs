@@ -1,0 +1,123 @@
+//! What is kept of a tile's pixels while it is drawn: 1/z and attributes of the nearest surface, 1/z and normal of
+//! the second-nearest. Nothing is shaded here: a pixel is, once, when the tile is written to the layer.
+
+use crate::pixels::TILE;
+
+/// Pixels from one row to the next: runs may reach past a tile's right edge, and what they leave there is junk.
+pub(super) const STRIDE: usize = TILE + 8;
+
+/// Pixels of a slot.
+const AREA: usize = STRIDE * TILE;
+
+/// What the frame keeps of a pixel beside 1/z.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct Channels {
+    /// Intensity.
+    pub light: bool,
+    /// Normals.
+    pub normals: bool,
+    /// Texture coordinates.
+    pub uv: bool,
+    /// Vertex colors.
+    pub colors: bool,
+    /// Which surface it is: where there is more than one.
+    pub surfaces: bool,
+    /// The second layer; normals are then on.
+    pub second: bool,
+    /// What phantoms hide.
+    pub phantoms: bool,
+}
+
+/// Attributes of a fragment at most: intensity, normal, texture coordinates, color.
+pub(super) const MOST: usize = 9;
+
+impl Channels {
+    /// Where the normal is among the attributes.
+    pub fn normal_at(self) -> usize {
+        usize::from(self.light)
+    }
+
+    /// Where the texture coordinates are.
+    pub fn uv_at(self) -> usize {
+        self.normal_at() + if self.normals { 3 } else { 0 }
+    }
+
+    /// Where the vertex color is.
+    pub fn color_at(self) -> usize {
+        self.uv_at() + if self.uv { 2 } else { 0 }
+    }
+
+    /// Both.
+    pub fn join(self, other: Self) -> Self {
+        Self {
+            light: self.light | other.light,
+            normals: self.normals | other.normals,
+            uv: self.uv | other.uv,
+            colors: self.colors | other.colors,
+            surfaces: self.surfaces | other.surfaces,
+            second: self.second | other.second,
+            phantoms: self.phantoms | other.phantoms,
+        }
+    }
+
+    /// How many attributes there are.
+    pub fn count(self) -> usize {
+        self.color_at() + if self.colors { 3 } else { 0 }
+    }
+}
+
+/// The pixels of one tile while it is drawn; row by row, `STRIDE` from one to the next.
+#[derive(Default)]
+pub(super) struct Slot {
+    /// The tile of the picture.
+    pub tile: usize,
+    /// Whether any pixel inside the picture is covered.
+    pub covered: bool,
+    /// 1/z of the nearest surface, `nothing` where there is none.
+    pub w: Vec<f32>,
+    /// Its attributes over z, in the order of the frame's `Channels`; unspecified where there is no surface.
+    pub attributes: Vec<Vec<f32>>,
+    /// Its index among the frame's surfaces; unspecified where there is only one.
+    pub surface: Vec<i32>,
+    /// 1/z of the second-nearest surface, `nothing` where there is none.
+    pub w2: Vec<f32>,
+    /// Its normal over z, not of unit length.
+    pub normal2: [Vec<f32>; 3],
+    /// 1/z of the nearest phantom.
+    pub shield: Vec<f32>,
+}
+
+impl Slot {
+    /// Allocates what frames may keep.
+    pub fn fit(&mut self, channels: Channels) {
+        let area = |wanted: bool| if wanted { AREA } else { 0 };
+        self.w.resize(AREA, 0.0);
+        self.attributes.resize_with(channels.count(), Vec::new);
+        for plane in &mut self.attributes {
+            plane.resize(AREA, 0.0);
+        }
+        self.surface.resize(area(channels.surfaces), 0);
+        self.w2.resize(area(channels.second), 0.0);
+        for plane in &mut self.normal2 {
+            plane.resize(area(channels.second), 0.0);
+        }
+        self.shield.resize(area(channels.phantoms), 0.0);
+    }
+
+    /// No surface anywhere, of what this frame keeps.
+    pub fn clear(&mut self, channels: Channels, nothing: f32) {
+        self.w.fill(nothing);
+        if channels.second {
+            self.w2.fill(nothing);
+        }
+        if channels.phantoms {
+            self.shield.fill(nothing);
+        }
+    }
+}
+
+/// What stands for no surface: the largest 1/z beyond the far plane, so that nothing there is ever nearer.
+pub(super) fn nothing(far: f64) -> f32 {
+    let least = (1.0 / far) as f32;
+    if least > 0.0 { least.next_down() } else { 0.0 }
+}
