@@ -31,6 +31,7 @@ fn model(mesh: Mesh, secondary: bool) -> Model {
         shading: Shading::Smooth,
         cull_back: false,
         secondary,
+        phantom: false,
     }
 }
 
