@@ -3,7 +3,7 @@
 //!
 //! `VERNISSAGE_SOAK=1` makes a million presses instead of a twentieth.
 
-use std::collections::VecDeque;
+use std::collections::{HashSet, VecDeque};
 use std::time::Duration;
 use vernissage::buttons::{
     Ask, ButtonConfig, Config, Console, Heard, Kind, Line, Link, Mode, Outcome, Press, Presses, Said, Status,
@@ -386,7 +386,10 @@ fn edges_are_acknowledged_and_repeats_dropped() {
         ["ACK 12", "ACK 12", "NAK 13 unknown-style", "NAK 14 off", "NAK 15 off", "ACK 16", "ACK 17"]
     );
     // the board's clock goes on by itself until it says the time
-    let mut asks = tell(&mut link, &["18 BTN 1 D 5000"], ms(100));
+    // what cannot be is not believed: a button the board has not, a time that is not now, unless it stays so
+    let asks = tell(&mut link, &["30 BTN 4 D 1300", "31 BTN 3 D 9000", "32 BTN 3 D 4294960000"], ms(100));
+    assert_eq!((asks, says(&mut link)), (vec![], vec![]));
+    let mut asks = tell(&mut link, &["33 BTN 1 D 5000"], ms(100));
     link.tick(ms(1599), &mut asks);
     assert_eq!(asks, []);
     link.tick(ms(1600), &mut asks);
@@ -473,6 +476,8 @@ struct Board {
     open: Vec<(u8, String, u64, usize)>,
     next_state: u64,
     line: Vec<u8>,
+    /// All that was said lately, in two generations.
+    said: [HashSet<String>; 2],
 }
 
 fn board_crc(body: &[u8]) -> u16 {
@@ -492,6 +497,7 @@ impl Board {
         self.seq = seq.wrapping_add(1);
         let body = format!("{seq:02X} {rest}");
         Self::transmit(&body, out);
+        self.said[0].insert(body.clone());
         (seq, body)
     }
 
@@ -622,8 +628,8 @@ impl Through {
 }
 
 /// Presses `count` times over a bad line; `wanted` decides what kinds are told apart. Returns what was counted, what was
-/// made and could be known of, and how many presses nobody could know of.
-fn hammer(count: u64, button: impl Fn(u8) -> ButtonConfig, seed: u64) -> ([u64; 3], [u64; 3], u64) {
+/// made and could be known of, how many presses nobody could know of, and how many broken frames had a good checksum.
+fn hammer(count: u64, button: impl Fn(u8) -> ButtonConfig, seed: u64) -> ([u64; 3], [u64; 3], u64, u64) {
     let mut rng = SplitMix64::new(seed);
     let config = Config { button: (1..=3).map(button).collect(), ..Config::default() };
     let mut link = link(&config);
@@ -636,9 +642,10 @@ fn hammer(count: u64, button: impl Fn(u8) -> ButtonConfig, seed: u64) -> ([u64; 
         open: Vec::new(),
         next_state: 0,
         line: Vec::new(),
+        said: Default::default(),
     };
     let (mut to_visor, mut to_board) = (VecDeque::new(), VecDeque::new());
-    let (mut counted, mut known, mut hidden) = ([0; 3], [0; 3], 0);
+    let (mut counted, mut known, mut hidden, mut forged) = ([0; 3], [0; 3], 0, 0);
     let mut through = Through::default();
     // per button: when its next edge is, and its present press
     let mut next = [5000, 5300, 5700_u64];
@@ -651,6 +658,10 @@ fn hammer(count: u64, button: impl Fn(u8) -> ButtonConfig, seed: u64) -> ([u64; 
     let mut last_up = 0;
     while made < count || going.iter().any(Option::is_some) || now < last_up + 12_000 {
         now += 1;
+        if now % 2000 == 0 {
+            board.said.swap(0, 1);
+            board.said[0].clear();
+        }
         let quiet = now + 8000 >= unplug_at; // nobody presses around an unplugging: those are tested above
         if plugged && now == unplug_at {
             plugged = false;
@@ -693,6 +704,10 @@ fn hammer(count: u64, button: impl Fn(u8) -> ButtonConfig, seed: u64) -> ([u64; 
             let was_up = link.is_up();
             let received = spoil(&mut to_visor, &mut rng);
             for body in through.bodies(&received).iter().filter(|_| was_up) {
+                if !board.said.iter().any(|said| said.contains(body)) {
+                    forged += 1;
+                    continue;
+                }
                 let words: Vec<&str> = body.split(' ').collect();
                 let at = |word: &str| u64::from(word.parse::<u32>().expect("a time").wrapping_sub(origin));
                 let shown: Option<(Option<usize>, u64)> = match words[1..] {
@@ -745,7 +760,7 @@ fn hammer(count: u64, button: impl Fn(u8) -> ButtonConfig, seed: u64) -> ([u64; 
         }
     }
     assert_eq!(known.iter().sum::<u64>() + hidden, made, "the test's own books");
-    (counted, known, hidden)
+    (counted, known, hidden, forged)
 }
 
 fn plenty() -> u64 {
@@ -759,8 +774,11 @@ fn no_press_is_lost_and_none_invented_on_a_bad_line() {
     let all =
         |number| ButtonConfig { number, short: Some(StyleNext), long: Some(Standby), double: Some(Freeze) };
     let half = plenty() / 2;
-    for (counted, known, hidden) in [hammer(half, plain, 1), hammer(half, all, 2)] {
-        assert_eq!(counted, known);
+    for (counted, known, hidden, forged) in [hammer(half, plain, 1), hammer(half, all, 2)] {
+        println!("{counted:?} presses counted, {hidden} never got through, {forged} frames forged by noise");
+        // one broken frame in 65536 has a good checksum: such a lie may cost or invent a press, nothing else may
+        let off: u64 = counted.iter().zip(known).map(|(counted, known)| counted.abs_diff(known)).sum();
+        assert!(off <= forged, "{counted:?} of {known:?}, {forged} forged");
         assert!(hidden * 100_000 <= half, "{hidden} presses of {half} never got through at all");
     }
 }

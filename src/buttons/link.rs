@@ -6,7 +6,7 @@
 
 use super::codec::{Dropped, Heard, Line, Outcome, Said, Wire, frame};
 use super::console::{self, Command};
-use super::press::{Kind, Press, Presses, RESTART_MS};
+use super::press::{Kind, Press, Presses};
 use super::{Config, Console};
 use std::time::Duration;
 
@@ -19,6 +19,10 @@ const TRACKED_EVERY: Duration = Duration::from_millis(200);
 const REOPEN: [Duration; 2] = [Duration::from_millis(100), Duration::from_secs(2)];
 /// Messages whose repeats are known.
 const REPEATS: usize = 16;
+/// How far a board's time may be from where its clock should stand by now, ms.
+const STRAY_MS: i32 = 3000;
+/// So many strays one after the other are no broken bytes: the clock was set anew.
+const STRAYS: u32 = 3;
 /// Bytes that may wait for a slow port; what else there is to say is left out.
 const BACKLOG: usize = 4096;
 /// Bit of a chattering button in the fault mask; the visor's own faults have the bits below.
@@ -137,6 +141,10 @@ pub struct Link {
     repeats: [Option<(u8, u16)>; REPEATS],
     /// The newest board time and when it was heard.
     clock: Option<(u32, Duration)>,
+    /// Messages in a row whose time cannot be.
+    strays: u32,
+    /// How many buttons the board has.
+    buttons: u8,
     status: Status,
     said: Status,
     beat: Duration,
@@ -160,6 +168,8 @@ impl Link {
             seq: 0,
             repeats: [None; REPEATS],
             clock: None,
+            strays: 0,
+            buttons: 0,
             status: Status::default(),
             said: Status::default(),
             beat: Duration::ZERO,
@@ -219,7 +229,7 @@ impl Link {
         self.presses.release(&mut self.told);
         self.wire.reset();
         self.out.clear();
-        (self.clock, self.watching, self.noisy) = (None, false, 0);
+        (self.clock, self.watching, self.noisy, self.strays) = (None, false, 0, 0);
         self.repeats = [None; REPEATS];
     }
 
@@ -325,34 +335,38 @@ impl Link {
             *heard = now;
         }
         let Some(heard) = heard else { return };
-        if let Heard::Hello { proto, .. } = heard {
+        if let Heard::Hello { proto, buttons, .. } = heard {
+            self.buttons = buttons;
             return self.greeted(proto, now);
         }
         if !self.is_up() {
             return; // the board resends, and its state heals what it does not
         }
         let again = self.repeats.contains(&Some((seq, crc)));
+        if let Heard::Button { at, .. } | Heard::Encoder { at, .. } | Heard::State { at, .. } = heard
+            && !again
+            && !self.believes(at, now)
+        {
+            return;
+        }
         if !again {
             self.repeats.rotate_right(1);
             self.repeats[0] = Some((seq, crc));
         }
         match heard {
+            Heard::Button { number, .. } if number > self.buttons => {}
             Heard::Button { number, down, at } => {
                 self.say(&Said::Ack(seq));
                 if !again {
-                    self.hear(at, now);
                     self.presses.edge(number, down, at, &mut self.told);
                 }
             }
-            Heard::Encoder { at, .. } => {
-                self.say(&Said::Ack(seq));
-                self.hear(at, now);
-            }
+            Heard::Encoder { .. } => self.say(&Said::Ack(seq)),
             Heard::State { mask, at } => {
-                self.hear(at, now);
-                self.presses.state(mask, at, &mut self.told);
+                let known = u32::MAX.checked_shr(32 - u32::from(self.buttons)).unwrap_or(0);
+                self.presses.state(mask & known, at, &mut self.told);
             }
-            Heard::Battery { at, .. } => self.hear(at, now),
+            Heard::Battery { .. } => {}
             Heard::Error { code, text } => log::warn!("buttons: the board reports {code} {text}"),
             Heard::SetStyle(name) => match self.styles.iter().position(|known| *known == name) {
                 Some(style) => self.accept(seq, again, Ask::Style(style), asks),
@@ -389,16 +403,31 @@ impl Link {
         }
         // one that was up has begun anew: its clock too
         self.presses.release(&mut self.told);
-        (self.clock, self.repeats, self.noisy) = (None, [None; REPEATS], 0);
+        (self.clock, self.repeats, self.noisy, self.strays) = (None, [None; REPEATS], 0, 0);
         self.state = State::Up { heard: now };
     }
 
-    /// The board's clock says `at` now, unless that is an old message.
-    fn hear(&mut self, at: u32, now: Duration) {
-        let newer = |(board, _)| !(-RESTART_MS..=0).contains(&(at.wrapping_sub(board) as i32));
-        if self.clock.is_none_or(newer) {
+    /// Takes the board's clock from a message; `false` when that time cannot be: a checksum of 16 bits lets one broken
+    /// frame in 65536 through.
+    fn believes(&mut self, at: u32, now: Duration) -> bool {
+        if let Some((board, heard)) = self.clock {
+            let since = now.saturating_sub(heard).as_millis() as u32;
+            let off = at.wrapping_sub(board.wrapping_add(since)) as i32;
+            if !(-STRAY_MS..=STRAY_MS).contains(&off) {
+                self.strays += 1;
+                if self.strays < STRAYS {
+                    return false;
+                }
+                self.presses.release(&mut self.told);
+                self.clock = None;
+            }
+        }
+        self.strays = 0;
+        // repeats are old
+        if self.clock.is_none_or(|(board, _)| at.wrapping_sub(board) as i32 > 0) {
             self.clock = Some((at, now));
         }
+        true
     }
 
     /// Turns what the buttons told into what is asked.

@@ -24,7 +24,7 @@ const MUTE_MS: u32 = 5000;
 /// Facts remembered a button: more than a second of the fastest pressing.
 const MEMORY: usize = 48;
 /// Farther back than any repeat comes: the board's clock was set anew, ms.
-pub(super) const RESTART_MS: i32 = 10_000;
+const RESTART_MS: i32 = 10_000;
 
 /// Which kinds of presses of a button mean something besides the short one.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
