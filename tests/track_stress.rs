@@ -178,7 +178,7 @@ fn twins_and_nested_squares() {
             let d = DVec2::new(x as f64 - 320.0, y as f64 - 240.0);
             let out = DVec2::new(d.x * cos - d.y * sin, d.x * sin + d.y * cos).abs().max_element();
             let ring = ((half - out) / step).floor();
-            let dark = ring >= 0.0 && ring < sides as f64 && ring as usize % 2 == 0;
+            let dark = ring >= 0.0 && ring < sides as f64 && (ring as usize).is_multiple_of(2);
             (if dark { 40.0 } else { 200.0 } + 4.0 * rng.f64()) as u8
         });
         let seen = tracker.find(picture.view(), &lens, &wanted);

@@ -434,7 +434,6 @@ mod tests {
                         captured_at: now(),
                         luma: Plane::new(size, 90),
                         color: Rgb::new(size, [90; 3]),
-                        ..Frame::default()
                     };
                     writer.publish();
                 }

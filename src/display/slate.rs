@@ -37,7 +37,7 @@ impl Slate {
         self.wheel(&mut mask);
         let mut top = size.height as f32 * 0.6;
         for (number, line) in lines.iter().enumerate() {
-            let least = if number == 0 { 40 } else { 64 };
+            let least = if number == 0 { 16 } else { 32 };
             let zoom = (size.width / (GLYPH * line.len().max(least))).max(1) as f32;
             let left = (size.width as f32 - zoom * (GLYPH * line.len()) as f32) * 0.5;
             write(&mut mask, line, left, top, zoom);

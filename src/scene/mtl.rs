@@ -24,14 +24,8 @@ pub(super) fn load(name: &str, limits: &Limits, textures: &mut Textures, materia
         let (keyword, rest) =
             statement.split_once(char::is_whitespace).map_or((statement, ""), |(k, r)| (k, r.trim()));
         match keyword {
-            "newmtl" => {
-                if materials.len() < limits.materials {
-                    materials.push(Material {
-                        name: rest.to_owned(),
-                        color: Vec3::ONE,
-                        ..Material::default()
-                    });
-                }
+            "newmtl" if materials.len() < limits.materials => {
+                materials.push(Material { name: rest.to_owned(), color: Vec3::ONE, ..Material::default() });
             }
             "Kd" => {
                 let [r, g, b] = numbers(rest);

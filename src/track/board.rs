@@ -40,7 +40,10 @@ pub fn settle(board: &Board, lens: &Lens, sightings: &mut Vec<Sighting>) {
     let Some(pose) = pose else { return };
     for print in &board.prints {
         let own = pose.after(&print.to_board);
-        let placed = |corners: &[DVec2; 4]| Solved { pose: own, error_px: miss(&own, print, corners, lens) };
+        let placed = |corners: &[DVec2; 4]| Solved {
+            pose: own,
+            error_px: mean_square(&own, print, corners, lens).sqrt(),
+        };
         match sightings.iter_mut().find(|sighting| is(print, sighting)) {
             Some(sighting) if seen(sighting) && count == 1 => {}
             Some(sighting) if seen(sighting) => {
@@ -89,9 +92,9 @@ fn corners(pose: &Pose, print: &Print, lens: &Lens) -> Option<[DVec2; 4]> {
     (super::quad::area(&out) > 0.0).then_some(out)
 }
 
-/// Root mean square distance of the corners from where the pose puts them, px.
-fn miss(pose: &Pose, print: &Print, corners: &[DVec2; 4], lens: &Lens) -> f64 {
-    (solve::cost(pose, corners, None, &corners_mm(print.side_mm), lens) * 0.25).sqrt()
+/// Mean square distance of the corners from where the pose puts them, px².
+fn mean_square(pose: &Pose, print: &Print, corners: &[DVec2; 4], lens: &Lens) -> f64 {
+    solve::cost(pose, corners, None, &corners_mm(print.side_mm), lens) * 0.25
 }
 
 fn loose(corners: &[DVec2; 4]) -> f64 {
@@ -108,7 +111,7 @@ fn pose(board: &Board, lens: &Lens, sightings: &[Sighting]) -> Option<Pose> {
     };
     let cost = |pose: &Pose| -> f64 {
         let robust = |(print, sighting): (&Print, &Sighting)| {
-            let square = miss(&pose.after(&print.to_board), print, &sighting.corners, lens).powi(2);
+            let square = mean_square(&pose.after(&print.to_board), print, &sighting.corners, lens);
             // Geman-McClure's ρ; infinity counts as its limit
             if square.is_finite() {
                 square / (1.0 + square / (REACH_PX * REACH_PX))
@@ -137,7 +140,7 @@ fn pose(board: &Board, lens: &Lens, sightings: &[Sighting]) -> Option<Pose> {
         let (mut a, mut b) = ([[0.0; 6]; 6], [0.0; 6]);
         for (print, sighting) in seen() {
             let place = pose.after(&print.to_board);
-            let square = miss(&place, print, &sighting.corners, lens).powi(2);
+            let square = mean_square(&place, print, &sighting.corners, lens);
             let near = 1.0 / (1.0 + square / (REACH_PX * REACH_PX));
             let points = corners_mm(print.side_mm).map(|p| print.to_board.apply(p));
             let equations = solve::equations(&pose, &sighting.corners, None, &points, print.side_mm, lens);

@@ -193,7 +193,7 @@ impl Data {
 }
 
 pub fn linear(srgb: f64) -> f32 {
-    (if srgb <= 0.04045 { srgb / 12.92 } else { ((srgb + 0.055) / 1.055).powf(2.4) }) as f32
+    (if srgb <= 0.04045 { srgb / 12.92 } else { libm::pow((srgb + 0.055) / 1.055, 2.4) }) as f32
 }
 
 pub fn glb(sample: &Sample) -> Vec<u8> {
