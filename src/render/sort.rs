@@ -91,7 +91,7 @@ impl Sorted {
                 | ((e0 + r0) | (e1 + r1) | (e2 + r2)).simd_ge(of(0))
                 | ((e0 + d0) | (e1 + d1) | (e2 + d2)).simd_ge(of(0))
                 | ((e0 + r0 + d0) | (e1 + r1 + d1) | (e2 + r2 + d2)).simd_ge(of(0));
-            alive = alive & (covered | !tiny);
+            alive &= covered | !tiny;
         }
         let (mut lows, mut highs, mut tiles) = ([0; BATCH], [0; BATCH], [0; BATCH]);
         (left | (top << 16)).store_slice(&mut lows);
