@@ -280,7 +280,7 @@ fn draw_area<S: Simd, const MODE: u8>(
             if x > width {
                 break;
             }
-            xs = xs + splat(length as f32);
+            xs += splat(length as f32);
             (f0, f1, f2) = (f0 + r0 * length, f1 + r1 * length, f2 + r2 * length);
         }
         if y == area.bottom {

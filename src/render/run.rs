@@ -117,7 +117,7 @@ impl<S: Simd> Run<S> {
     ) {
         let (here, mut inside) = (self.here, self.inside);
         if channels.phantoms {
-            inside = inside & here.simd_gt(self.load(simd, &slot.shield));
+            inside &= here.simd_gt(self.load(simd, &slot.shield));
         }
         let before = self.load(simd, &slot.w);
         let wins = inside & here.simd_gt(before);

@@ -270,9 +270,9 @@ impl Surface {
         let (mut red, mut green, mut blue) = (light, light, light);
         if self.colored {
             let first = channels.color_at();
-            red = red * unit_range(simd, load(simd, &slot.attributes[first], at) * z);
-            green = green * unit_range(simd, load(simd, &slot.attributes[first + 1], at) * z);
-            blue = blue * unit_range(simd, load(simd, &slot.attributes[first + 2], at) * z);
+            red *= unit_range(simd, load(simd, &slot.attributes[first], at) * z);
+            green *= unit_range(simd, load(simd, &slot.attributes[first + 1], at) * z);
+            blue *= unit_range(simd, load(simd, &slot.attributes[first + 2], at) * z);
         }
         if let Some(texture) = texture {
             let first = channels.uv_at();
@@ -286,9 +286,9 @@ impl Surface {
                     (texels[0][k], texels[1][k], texels[2][k]) = (r, g, b);
                 }
             }
-            red = red * f32x8::simd_from(simd, texels[0]);
-            green = green * f32x8::simd_from(simd, texels[1]);
-            blue = blue * f32x8::simd_from(simd, texels[2]);
+            red *= f32x8::simd_from(simd, texels[0]);
+            green *= f32x8::simd_from(simd, texels[1]);
+            blue *= f32x8::simd_from(simd, texels[2]);
         }
         (to_level(simd, red, r), to_level(simd, green, g), to_level(simd, blue, b))
     }

@@ -91,7 +91,7 @@ impl Sorted {
                 | ((e0 + r0) | (e1 + r1) | (e2 + r2)).simd_ge(of(0))
                 | ((e0 + d0) | (e1 + d1) | (e2 + d2)).simd_ge(of(0))
                 | ((e0 + r0 + d0) | (e1 + r1 + d1) | (e2 + r2 + d2)).simd_ge(of(0));
-            alive = alive & (covered | !tiny);
+            alive &= covered | !tiny;
         }
         let (mut lows, mut highs, mut tiles) = ([0; BATCH], [0; BATCH], [0; BATCH]);
         (left | (top << 16)).store_slice(&mut lows);
@@ -177,8 +177,8 @@ mod tests {
             let [a, b, c] = corners;
             for level in simd::available() {
                 let sorted = dispatch!(level, simd => Sorted::new(simd, &rules, &a, &b, &c));
-                for k in 0..BATCH {
-                    let p = [a[k], b[k], c[k]];
+                for (k, ((&a, &b), &c)) in a.iter().zip(&b).zip(&c).enumerate() {
+                    let p = [a, b, c];
                     let is = |bits: u32| bits >> k & 1 == 1;
                     let (low, high) = (
                         [0, 1].map(|i| p.map(|v| v[i]).into_iter().min()),

@@ -186,8 +186,8 @@ fn place_run<S: Simd>(
         let p = turned(simd, m, gather(simd, points));
         let t = stand.to_camera.translation;
         let (x, y, z) = (p[0] + t.x, p[1] + t.y, p[2] + t.z);
-        // not finite minus itself is not a number
-        let finite = ((x - x) + (y - y) + (z - z)).simd_eq(zero);
+        // what is not finite times 0 is not a number
+        let finite = (x * zero + y * zero + z * zero).simd_eq(zero);
         let w = f64x4::splat(simd, 1.0) / z;
         let (px, py, inside) = stand.field.project_four(simd, x * w, y * w);
         let whole = finite & inside & z.simd_ge(f64x4::splat(simd, stand.near));
