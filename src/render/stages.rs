@@ -81,6 +81,9 @@ pub(super) struct Stages {
 impl Stages {
     /// Takes pictures of this many tiles.
     pub fn resize(&mut self, tiles: usize) {
+        if self.slots.len() == tiles {
+            return; // other products, the same tiles
+        }
         self.slots.clear();
         self.slots.resize_with(tiles, Slot::default);
         self.fitted = None;
