@@ -145,18 +145,21 @@ fn a_board_drives_the_visor() {
     // the visor is not heard: the board sends again, and it counts once
     board.order("deaf 120");
     board.order("down 1");
-    board.hears("STYLE plain");
+    let mut seen = board.until("HB plain", |line| line.contains(" HB ") && line.contains(" plain "));
     board.order("up 1");
-    let seen = board.rest(Duration::from_millis(900));
-    let acts = seen.iter().filter(|line| line.contains("ACT 1")).count();
-    assert!(acts <= 1 && seen.iter().filter(|line| line.contains("ACK")).count() >= 2, "{seen:#?}");
+    seen.extend(board.rest(Duration::from_millis(900)));
+    let count = |words: &str| seen.iter().filter(|line| line.contains(words)).count();
+    assert!(count("BTN 1 D") >= 2 && count(" rx ") > 0, "{seen:#?}");
+    // twice would be back at the cartoon
+    assert!(count("ACT 1") <= 1 && count("STYLE cartoon") == 0, "{seen:#?}");
 
     // the board is not heard at all until after the press: its state tells
     board.order("mute 700");
     board.order("down 1");
     board.hears("ACT 1 style-next ok ");
-    board.order("up 1");
     board.hears("STYLE cartoon");
+    board.order("up 1");
+    board.hears(" ACK ");
 
     // noise is no press
     board.order("raw 00ff2430312042544e2031204420310aff2a");
