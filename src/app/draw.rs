@@ -88,7 +88,11 @@ struct Report<'a> {
 
 pub fn run(args: Args) -> anyhow::Result<()> {
     let (camera, to_camera) = read_camera(&args.camera)?;
-    let mesh = load(&args.model)?;
+    let mut mesh = load(&args.model)?;
+    if args.model.extension().is_some_and(|end| end.eq_ignore_ascii_case("obj")) {
+        // what this command draws is measured against others, that read no colors of OBJ vertices
+        mesh.colors.clear();
+    }
     let pool = super::pool(args.threads)?;
     let shading = match args.shading {
         ShadingName::Smooth => Shading::Smooth,
