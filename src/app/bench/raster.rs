@@ -131,6 +131,8 @@ fn crowd(args: &Args) -> anyhow::Result<Table> {
     let mut rows = Vec::new();
     let spot = Arc::new(builtin("spot").unwrap_or_default());
     let (camera, placed) = view(&spot);
+    // they stand twice as far as a model alone
+    let camera = Camera { far: 2.0 * camera.far, ..camera };
     let scene = scene(vec![spot; CROWD[0]]);
     // the first ones side by side, all others to the right of the picture
     let at = |k: usize| {
@@ -146,13 +148,15 @@ fn crowd(args: &Args) -> anyhow::Result<Table> {
         let of = |count: usize| {
             let mut renderer = Renderer::new(simd::best());
             let needs = Needs::COLOR.and(Needs::DEPTH);
-            time(&pool, args.repeat, &mut renderer, &scene, &places[..count], &camera, needs).min
+            let least = time(&pool, args.repeat, &mut renderer, &scene, &places[..count], &camera, needs).min;
+            (least.as_secs_f64() * 1e3, renderer.work().models)
         };
-        let [all, few] = CROWD.map(|count| of(count).as_secs_f64() * 1e3);
-        rows.push(vec![threads.into(), all.into(), few.into(), (all / few).into()]);
+        let [(all, drawn), (few, _)] = CROWD.map(of);
+        rows.push(vec![threads.into(), drawn.into(), all.into(), few.into(), (all / few).into()]);
     }
     const COLUMNS: &[Column] = &[
         Column("threads", "threads", 0),
+        Column("drawn", "drawn", 0),
         Column("ms: 64, 4 in view", "all_ms", 3),
         Column("4 alone", "few_ms", 3),
         Column("ratio", "ratio", 2),
