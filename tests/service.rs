@@ -66,8 +66,8 @@ fn ready_with_the_first_picture_alive_with_every_other() {
     assert!(child.wait().expect("an end").success());
     assert!(heard[0].contains("READY=1"), "{heard:?}");
     let alive = heard.iter().filter(|message| message.contains("WATCHDOG=1")).count();
-    // three seconds of pictures, a sign of life every quarter of a second
-    assert!((4..=16).contains(&alive), "{heard:?}");
+    // three seconds of pictures or more, a sign of life every quarter of a second
+    assert!(alive >= 4, "{heard:?}");
     assert!(heard.last().expect("messages").contains("STOPPING=1"), "{heard:?}");
 }
 

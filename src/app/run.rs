@@ -445,11 +445,10 @@ mod tests {
         files.sort();
         let dark = |file: &PathBuf| picture::read(file).expect("a picture").at(1, 1)[0] < 40;
         let slates: Vec<bool> = files.iter().map(dark).collect();
-        // .9 s of silence: the first after .25 s, then four a second; a busy machine may skip some
-        let count = slates.iter().filter(|slate| **slate).count();
-        assert!((1..=4).contains(&count) && slates.len() == count + 4, "{slates:?}");
-        assert!(!slates[0] && !slates[1], "pictures first: {slates:?}");
-        assert_eq!(slates.last(), Some(&false), "and pictures again");
+        // a busy machine may show more slates, but between the second picture and the third there is one
+        let pictures: Vec<usize> = (0..slates.len()).filter(|&k| !slates[k]).collect();
+        assert_eq!(pictures.len(), 4, "{slates:?}");
+        assert!(pictures[2] > pictures[1] + 1, "{slates:?}");
         std::fs::remove_dir_all(&folder).expect("its own folder");
     }
 }
