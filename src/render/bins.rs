@@ -80,10 +80,10 @@ struct Sorting<'a> {
 
 impl<'a> Sorting<'a> {
     fn new(view: &'a View<'a>, instance: Instance) -> Self {
-        let model = &view.scene.models[instance.placed.model];
+        let model = &view.shot.scene.models[instance.placed.model];
         let spots = &view.vertices.spots[instance.first_vertex..][..model.mesh.positions.len()];
-        let flat = matches!(view.look.shading.unwrap_or(model.shading), Shading::Flat);
-        let straight = if view.field.bends() { clip::straight_box(view.field) } else { SMALL };
+        let flat = matches!(view.shot.look.shading.unwrap_or(model.shading), Shading::Flat);
+        let straight = if view.shot.field.bends() { clip::straight_box(view.shot.field) } else { SMALL };
         Self {
             view,
             instance,
@@ -94,11 +94,11 @@ impl<'a> Sorting<'a> {
             plain: (!flat && model.mesh.materials.is_empty()).then_some(instance.first_surface as u32),
             flat: flat.then(|| normal_matrix(&instance.placed.to_camera)),
             rules: Rules {
-                size: view.camera.lens.size,
-                columns: view.grid.columns(),
-                cull_back: model.cull_back || view.look.needs.includes(Needs::SILHOUETTE),
+                size: view.shot.camera.lens.size,
+                columns: view.shot.grid.columns(),
+                cull_back: model.cull_back || view.shot.look.needs.includes(Needs::SILHOUETTE),
                 reach: straight.min(SMALL),
-                bends: view.field.bends(),
+                bends: view.shot.field.bends(),
             },
         }
     }
@@ -118,7 +118,8 @@ impl<'a> Sorting<'a> {
         let Some(normals) = self.flat else { return -1.0 };
         let at = |c: u32| self.mesh.positions.get(c as usize).copied().unwrap_or_default().as_dvec3();
         let [a, b, c] = corners.map(at);
-        unit(normals * (b - a).cross(c - a)).dot(self.view.scene.light.direction.as_dvec3()).max(0.0) as f32
+        unit(normals * (b - a).cross(c - a)).dot(self.view.shot.scene.light.direction.as_dvec3()).max(0.0)
+            as f32
     }
 
     fn record(&self, triangle: usize, corners: [u32; 3], bounds: [i16; 4]) -> Record {
@@ -242,10 +243,10 @@ impl Chunk {
             return;
         }
         let whole = least > 0.0;
-        if whole && most < 1.0 / view.camera.far {
+        if whole && most < 1.0 / view.shot.camera.far {
             return;
         }
-        let field = view.field;
+        let field = view.shot.field;
         let bent = whole
             && field.bends()
             && (clip::may_bend(a, b, field) || clip::may_bend(b, c, field) || clip::may_bend(c, a, field));
@@ -277,7 +278,7 @@ impl Chunk {
                 color: mesh.colors.get(c).map_or(DVec3::ONE, |color| color.as_dvec3()),
             }
         });
-        clip::cut(cut, view.camera.near, view.field, &mut |piece| {
+        clip::cut(cut, view.shot.camera.near, view.shot.field, &mut |piece| {
             let Some((wound, bounds)) = shape(piece.each_ref().map(|seen| seen.vertex.spot), sorting) else {
                 return;
             };

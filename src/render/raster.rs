@@ -40,7 +40,7 @@ pub(super) fn draw_tile(level: Level, view: &View<'_>, chunks: &[Chunk], slot: &
         (true, _, false) => dispatch!(level, simd => draw_records::<_, BOTH>(simd, view, chunks, slot)),
         _ => dispatch!(level, simd => draw_records::<_, ANY>(simd, view, chunks, slot)),
     }
-    let rect = view.grid.rect(slot.tile);
+    let rect = view.shot.grid.rect(slot.tile);
     let mut rows = slot.w.chunks_exact(STRIDE).take(rect.y1 - rect.y0);
     let most = |row: &[f32]| row.iter().fold(0, |most, w| w.to_bits().max(most));
     slot.covered = rows.any(|row| most(&row[..rect.x1 - rect.x0]) > view.nothing.to_bits());
@@ -57,14 +57,14 @@ struct Pen<'a> {
 
 #[inline(always)]
 fn draw_records<S: Simd, const MODE: u8>(simd: S, view: &View<'_>, chunks: &[Chunk], slot: &mut Slot) {
-    let rect = view.grid.rect(slot.tile);
+    let rect = view.shot.grid.rect(slot.tile);
     let [left, top, right, bottom] = [rect.x0, rect.y0, rect.x1 - 1, rect.y1 - 1].map(|v| v as i32);
     for chunk in chunks {
         if !chunk.holds(slot.tile) {
             continue;
         }
         let instance = &view.instances[chunk.instance];
-        let phantom = view.scene.models[instance.placed.model].phantom;
+        let phantom = view.shot.scene.models[instance.placed.model].phantom;
         let whole = Source::of_instance(view, instance);
         let pen = |source| Pen { origin: [left, top], channels: view.channels, phantom, source };
         let (whole, own) = (pen(whole), pen(Source::of_chunk(chunk)));
@@ -132,7 +132,7 @@ struct Source<'a> {
 
 impl<'a> Source<'a> {
     fn of_instance(view: &View<'a>, instance: &Instance) -> Self {
-        let mesh = &view.scene.models[instance.placed.model].mesh;
+        let mesh = &view.shot.scene.models[instance.placed.model].mesh;
         let (first, vertices) = (instance.first_vertex, view.vertices);
         Self {
             places: &vertices.places[first..],

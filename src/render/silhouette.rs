@@ -54,14 +54,14 @@ impl Silhouette {
         self.lines.clear();
         // of all models, in view or not: their edges are found and room is made before they come
         let count = |mesh: &Mesh| mesh.edges().closed.len() + mesh.edges().open.len();
-        let known: usize = view.scene.models.iter().map(|model| count(&model.mesh)).sum();
-        let placed = view.instances.iter().map(|i| count(&view.scene.models[i.placed.model].mesh));
-        let triangles = view.scene.models.iter().map(|model| model.mesh.triangles.len()).max();
+        let known: usize = view.shot.scene.models.iter().map(|model| count(&model.mesh)).sum();
+        let placed = view.instances.iter().map(|i| count(&view.shot.scene.models[i.placed.model].mesh));
+        let triangles = view.shot.scene.models.iter().map(|model| model.mesh.triangles.len()).max();
         self.fronts.resize(triangles.unwrap_or(0), false);
         self.lines.reserve(known.max(placed.sum()).min(KEPT_LINES));
-        let seen = |instance: &&Instance| !view.scene.models[instance.placed.model].phantom;
+        let seen = |instance: &&Instance| !view.shot.scene.models[instance.placed.model].phantom;
         for instance in view.instances.iter().filter(seen) {
-            let mesh = &view.scene.models[instance.placed.model].mesh;
+            let mesh = &view.shot.scene.models[instance.placed.model].mesh;
             let edges = mesh.edges();
             self.fronts[..mesh.triangles.len()].par_chunks_mut(1024).enumerate().for_each(
                 |(chunk, fronts)| {
@@ -144,13 +144,13 @@ impl Silhouette {
     fn add(&mut self, view: &View<'_>, instance: &Instance, edge: [u32; 2]) {
         let [a, b] = edge.map(|i| &view.vertices.places[instance.first_vertex + i as usize]);
         let whole = a.w > 0.0 && b.w > 0.0;
-        if whole && !(view.field.bends() && clip::may_bend(a, b, view.field)) {
+        if whole && !(view.shot.field.bends() && clip::may_bend(a, b, view.shot.field)) {
             self.lines.push([a, b].map(End::of));
         } else if a.w >= 0.0 && b.w >= 0.0 {
-            let mesh = &view.scene.models[instance.placed.model].mesh;
+            let mesh = &view.shot.scene.models[instance.placed.model].mesh;
             let [a, b] = edge
                 .map(|i| instance.placed.to_camera.transform_point3(mesh.positions[i as usize].as_dvec3()));
-            clip::cut_line([a, b], view.camera.near, view.field, &mut |a, b| {
+            clip::cut_line([a, b], view.shot.camera.near, view.shot.field, &mut |a, b| {
                 self.lines.push([a, b].map(End::of));
             });
         }
@@ -172,7 +172,7 @@ fn faces_camera(view: &View<'_>, instance: &Instance, triangle: [u32; 3]) -> boo
         let [[x0, y0], [x1, y1], [x2, y2]] = [a, b, c].map(|spot| spot.map(i64::from));
         return (x1 - x0) * (y2 - y0) < (x2 - x0) * (y1 - y0);
     }
-    let mesh = &view.scene.models[instance.placed.model].mesh;
+    let mesh = &view.shot.scene.models[instance.placed.model].mesh;
     let [a, b, c] = triangle.map(|i| {
         let position = mesh.positions.get(i as usize).copied().unwrap_or_default();
         instance.placed.to_camera.transform_point3(position.as_dvec3())

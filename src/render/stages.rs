@@ -48,11 +48,7 @@ pub(super) struct Instance {
 /// What all stages of one frame share.
 #[derive(Clone, Copy)]
 pub(super) struct View<'a> {
-    pub scene: &'a Scene,
-    pub camera: &'a Camera,
-    pub field: &'a Field,
-    pub grid: TileGrid,
-    pub look: Look,
+    pub shot: Shot<'a>,
     pub instances: &'a [Instance],
     pub shapes: &'a Shapes,
     pub vertices: &'a Vertices,
@@ -117,7 +113,7 @@ impl Stages {
         part: Part,
         lines: Option<&mut Silhouette>,
     ) -> ([f32; 2], Work) {
-        let Shot { scene, camera, field, grid, look } = *shot;
+        let Shot { scene, camera, field, grid, .. } = *shot;
         self.shapes.learn(scene);
         let vertex_count = self.list(shot, placed, part);
         let length = self.make_room(shot);
@@ -135,7 +131,7 @@ impl Stages {
             }
         }
         let (channels, nothing) = (*channels, tile::nothing(camera.far));
-        let view = View { scene, camera, field, grid, look, instances, shapes, vertices, channels, nothing };
+        let view = View { shot: *shot, instances, shapes, vertices, channels, nothing };
         if let Some(lines) = lines {
             lines.find(&view);
         }
