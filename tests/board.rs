@@ -189,7 +189,6 @@ fn a_board_drives_the_visor() {
     board.order("down 2");
     board.hears(" ACK ");
     board.order("unplug");
-    std::thread::sleep(Duration::from_millis(300));
     board.order("plug");
     board.hears("OK 1 ");
     board.hears(" RUN ");

@@ -16,6 +16,7 @@ use anyhow::Context;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{RecvTimeoutError, channel};
 use std::time::{Duration, Instant};
 
 /// The appliance: camera to screen, until it is stopped.
@@ -86,8 +87,13 @@ pub fn run(args: Args) -> anyhow::Result<()> {
         let camera = std::thread::Builder::new().name("camera".into());
         let (stopped, settings, keep_raw) = (stop.clone(), config.camera.clone(), args.trace.is_some());
         let camera_fault = fault.clone();
+        let (running, ended) = channel::<()>();
         let camera = camera
-            .spawn(move || watch(source, &settings, keep_raw, writer, &camera_fault, &stopped))
+            .spawn(move || {
+                // gone with the thread, however it ends
+                let _running = running;
+                watch(source, &settings, keep_raw, writer, &camera_fault, &stopped)
+            })
             .context(Failed("cannot start the camera's thread"))?;
         let interval = Duration::from_secs_f64(1.0 / config.camera.fps);
         let display = &config.display;
@@ -96,11 +102,7 @@ pub fn run(args: Args) -> anyhow::Result<()> {
         let shown = show.all(reader, &fault, &stop);
         stop.store(true, Ordering::Relaxed);
         // a camera is closed in order; a thread that hangs in a read (a pipe that nobody fills) ends with us
-        let deadline = Instant::now() + 2 * PATIENCE;
-        while !camera.is_finished() && Instant::now() < deadline {
-            std::thread::sleep(Duration::from_millis(5));
-        }
-        if !camera.is_finished() {
+        if ended.recv_timeout(2 * PATIENCE) == Err(RecvTimeoutError::Timeout) {
             return shown;
         }
         // a panic there has been reported; what was shown decides
