@@ -2,8 +2,8 @@
 //!
 //! What was seen is expected again: each known marker is predicted and its print laid straight onto the picture,
 //! without search or decoding; where that fails it is looked for nearby by its print, then in a window, then it is
-//! held where it would be, then dropped (`known`: one such marker). New markers are searched for a slice a frame; while none is known, every
-//! picture is searched in full.
+//! held where it would be, then dropped (`known`: one such marker). New markers are searched for a slice a frame;
+//! while none is known, every picture is searched in full.
 
 use super::align::Pattern;
 use super::decode::{Decoded, View};
