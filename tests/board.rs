@@ -189,6 +189,8 @@ fn a_board_drives_the_visor() {
     board.order("down 2");
     board.hears(" ACK ");
     board.order("unplug");
+    // how long the plug is out, not a wait for anything: the visor must cope with whatever it is doing by then
+    std::thread::sleep(Duration::from_millis(300));
     board.order("plug");
     board.hears("OK 1 ");
     board.hears(" RUN ");
