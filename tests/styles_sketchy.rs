@@ -314,3 +314,20 @@ fn models_and_every_renderer_match_the_reference() {
         assert_eq!(drawn[0] != drawn[1], moves, "{settings:?}: only sprites move on a still picture");
     }
 }
+
+#[test]
+fn strokes_as_long_as_a_wide_picture_match_the_reference() {
+    let photo = frame(FRAMES[0]).color;
+    let size = Size::new(700, 30);
+    // stripes that strokes follow from side to side, and a little of the photograph
+    let red = |x: usize, y: usize| (y as u8 % 10) * 20 + photo.planes[0].at(x % 160, y) / 32;
+    let frame = frame_of(Rgb { planes: [(); 3].map(|()| Plane::from_fn(size, red)) });
+    for renderer in ["lines", "polygons"] {
+        let config =
+            config(&[("renderer", renderer), ("points", "64"), ("step", "13"), ("threshold", "0.01")]);
+        let mut out = Rgb::default();
+        let level = simd::best();
+        Styler::new(&config, level).draw(StyleInput { frame: &frame, layer: None }, &mut out);
+        compare(renderer, &out, &reference_over(&config.sketchy, &frame.color, None));
+    }
+}

@@ -11,6 +11,8 @@ use crate::pixels::simd::{Level, dispatch};
 use crate::pixels::{Plane, PlaneMut, Size};
 use fearless_simd::{Simd, SimdBase, u32x8};
 use rayon::prelude::*;
+use std::ops::Range;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Lattice steps in a pixel.
 pub const LATTICE: i32 = 16;
@@ -18,6 +20,8 @@ pub const LATTICE: i32 = 16;
 pub const FARTHEST: i32 = 1 << 20;
 /// Most pixels across a window.
 const WIDEST: usize = 256;
+/// Side of the blocks that are labeled again or not, px.
+const BLOCK: usize = 16;
 
 /// The labels of one frame and the tables they are made with.
 #[derive(Debug, Default)]
@@ -26,6 +30,56 @@ pub struct Voronoi {
     keys: Plane<u32>,
     margin: usize,
     buckets: Buckets,
+    /// The frame size and the sites that the labels are of.
+    size: Size,
+    labeled: Vec<[i32; 2]>,
+    /// Whether some pixel's nearest site was out of the window's reach.
+    strayed: AtomicBool,
+    stale: Stale,
+}
+
+/// The blocks of [`BLOCK`] x [`BLOCK`] px, row by row, whose labels may be wrong.
+#[derive(Debug, Default)]
+struct Stale {
+    columns: usize,
+    blocks: Vec<bool>,
+    all: bool,
+}
+
+impl Stale {
+    /// Fits the blocks to a frame; all of them are as `stale` says.
+    fn reset(&mut self, size: Size, stale: bool) {
+        self.all = stale;
+        self.columns = size.width.div_ceil(BLOCK);
+        self.blocks.clear();
+        self.blocks.resize(self.columns * size.height.div_ceil(BLOCK), stale);
+    }
+
+    /// The blocks that hold pixels `low..=high` of a line of `count` blocks.
+    fn span([low, high]: [i32; 2], count: usize) -> Range<usize> {
+        let block = |pixel: i32| usize::try_from(pixel).map_or(0, |pixel| pixel / BLOCK);
+        let end = if high < 0 { 0 } else { block(high) + 1 };
+        block(low).min(count)..end.min(count)
+    }
+
+    /// Marks the blocks with pixels within `reach` of a site.
+    fn mark(&mut self, [x, y]: [i32; 2], reach: i32) {
+        let around = |v: i32| [(v >> 4) - reach - 1, (v >> 4) + reach + 1];
+        for row in Self::span(around(y), self.blocks.len() / self.columns) {
+            let columns = Self::span(around(x), self.columns);
+            self.blocks[row * self.columns..][columns].fill(true);
+        }
+    }
+
+    /// Whether some block with pixels in these columns and rows is stale.
+    fn any(&self, columns: [i32; 2], rows: [i32; 2]) -> bool {
+        if self.all {
+            return true;
+        }
+        let columns = Self::span(columns, self.columns);
+        let mut rows = Self::span(rows, self.blocks.len() / self.columns);
+        rows.any(|row| self.blocks[row * self.columns..][columns.clone()].contains(&true))
+    }
 }
 
 /// Sites sorted into square buckets of `1 << shift` px; sites outside the frame lie in its border buckets.
@@ -68,6 +122,11 @@ impl Window {
         }
     }
 
+    /// Columns of junk beside a frame's, for windows and blocks that overlap its sides.
+    fn margin(self) -> usize {
+        self.across.max(BLOCK)
+    }
+
     /// The largest key that is proven by the window.
     fn proven(self) -> u32 {
         let reach = (LATTICE * self.reach) as u32;
@@ -81,18 +140,49 @@ impl Voronoi {
     pub fn run(&mut self, level: Level, size: Size, sites: &[[i32; 2]]) {
         let count = sites.len().max(1);
         let window = Window::new(size.area().max(1), count);
-        self.margin = window.across;
+        self.margin = window.margin();
         self.keys.resize(Size::new(size.width + 2 * self.margin, size.height), 0);
         if sites.is_empty() || size.area() == 0 {
             self.keys.fill(0);
+            self.forget();
+            return;
+        }
+        if !self.find_stale(size, sites, window) {
             return;
         }
         self.buckets.sort(size, sites);
-        let work = Work { window, sites, buckets: &self.buckets, width: size.width };
+        let Self { buckets, stale, strayed, .. } = self;
+        let work = Work { window, sites, buckets, stale, strayed, width: size.width };
         let rows = super::band_rows(size.height, 16);
         self.keys.view_mut().par_bands(rows).for_each(|(first, band)| {
             dispatch!(level, simd => label_band(simd, work, first, band));
         });
+    }
+
+    /// Labels every pixel anew in the next call, whether or not sites move.
+    pub fn forget(&mut self) {
+        self.labeled.clear();
+    }
+
+    /// Takes new sites, and finds the blocks whose labels may change; false: none.
+    fn find_stale(&mut self, size: Size, sites: &[[i32; 2]], window: Window) -> bool {
+        let known = self.size == size && self.labeled.len() == sites.len();
+        if known && self.labeled == sites {
+            return false;
+        }
+        let strayed = self.strayed.swap(false, Ordering::Relaxed) || window.reach < 0;
+        self.stale.reset(size, !known || strayed);
+        if known && !strayed {
+            // all is well within reach: a label changes only where a site came or went
+            for (old, new) in self.labeled.iter().zip(sites).filter(|(old, new)| old != new) {
+                self.stale.mark(*old, window.reach);
+                self.stale.mark(*new, window.reach);
+            }
+        }
+        self.size = size;
+        self.labeled.clear();
+        self.labeled.extend_from_slice(sites);
+        true
     }
 
     /// The labels of row `y`.
@@ -195,16 +285,22 @@ struct Work<'a> {
     window: Window,
     sites: &'a [[i32; 2]],
     buckets: &'a Buckets,
+    stale: &'a Stale,
+    strayed: &'a AtomicBool,
     width: usize,
 }
 
 #[inline(always)]
 fn label_band<S: Simd>(simd: S, work: Work<'_>, first: usize, mut keys: PlaneMut<'_, u32>) {
-    let Work { window, sites, buckets, width } = work;
-    let margin = window.across;
+    let Work { window, sites, buckets, stale, strayed, width } = work;
+    let margin = window.margin();
     let height = keys.size().height;
+    let blocks = |y: usize| stale.blocks[(first + y) / BLOCK * stale.columns..][..stale.columns].iter();
     for y in 0..height {
-        keys.row_mut(y).fill(u32::MAX);
+        let row = &mut keys.row_mut(y)[margin..][..width.next_multiple_of(BLOCK)];
+        for (keys, _) in row.chunks_exact_mut(BLOCK).zip(blocks(y)).filter(|(_, stale)| **stale) {
+            keys.fill(u32::MAX);
+        }
     }
     if window.reach >= 0 {
         let (first, last) = (first as i32, (first + height) as i32 - 1);
@@ -212,33 +308,44 @@ fn label_band<S: Simd>(simd: S, work: Work<'_>, first: usize, mut keys: PlaneMut
         let bottom = buckets.row_of((last + window.reach + 1) * LATTICE);
         for row in top..=bottom {
             for &index in buckets.span(row, 0, buckets.columns - 1) {
-                splat(simd, window, sites[index as usize], index, [first, last], width, &mut keys);
+                let [x, y] = sites[index as usize];
+                let left = (x >> 4) - window.reach;
+                let rows = [(y >> 4) - window.reach, (y >> 4) + window.reach];
+                if stale.any([left, left + window.across as i32 - 1], rows) {
+                    splat(simd, window, [x, y], index, [first, last], width, &mut keys);
+                }
             }
         }
     }
     let (proven, mask) = (u32x8::splat(simd, window.proven()), (1u32 << window.bits) - 1);
     let lanes = u32x8::splat(simd, mask);
     for y in 0..height {
-        let row = &mut keys.row_mut(y)[margin..][..width.next_multiple_of(8)];
-        for (block, keys) in row.chunks_exact_mut(8).enumerate() {
-            let key = u32x8::from_slice(simd, keys);
-            if window.reach >= 0 && !simd.any_true_mask32x8(simd.simd_gt_u32x8(key, proven)) {
-                (key & lanes).store_slice(keys);
-                continue;
-            }
-            for (lane, key) in keys.iter_mut().enumerate() {
-                let at = |pixel: usize| pixel as i32 * LATTICE + LATTICE / 2;
-                let x = (8 * block + lane).min(width - 1);
-                *key = match window.reach >= 0 && *key <= window.proven() {
-                    true => *key & mask,
-                    false => buckets.nearest(sites, at(x), at(first + y)),
-                };
+        let row = &mut keys.row_mut(y)[margin..][..width.next_multiple_of(BLOCK)];
+        let blocks = row.chunks_exact_mut(BLOCK).zip(blocks(y)).enumerate().filter(|(_, (_, stale))| **stale);
+        for (block, (keys, _)) in blocks {
+            for (half, keys) in keys.chunks_exact_mut(8).enumerate() {
+                let key = u32x8::from_slice(simd, keys);
+                if window.reach >= 0 && !simd.any_true_mask32x8(simd.simd_gt_u32x8(key, proven)) {
+                    (key & lanes).store_slice(keys);
+                    continue;
+                }
+                for (lane, key) in keys.iter_mut().enumerate() {
+                    let at = |pixel: usize| pixel as i32 * LATTICE + LATTICE / 2;
+                    let x = BLOCK * block + 8 * half + lane;
+                    if window.reach >= 0 && *key <= window.proven() {
+                        *key &= mask;
+                    } else if x < width {
+                        strayed.store(true, Ordering::Relaxed);
+                        *key = buckets.nearest(sites, at(x), at(first + y));
+                    }
+                }
             }
         }
     }
 }
 
-/// Offers one site to the pixels of its window.
+/// Offers one site to the pixels of its window. Labels of pixels that are not stale stay: as keys they are those of
+/// distance 0, which only a nearer site could undercut.
 #[inline(always)]
 fn splat<S: Simd>(
     simd: S,
@@ -254,23 +361,38 @@ fn splat<S: Simd>(
     if top > bottom || left >= width as i32 || left + window.across as i32 <= 0 {
         return;
     }
-    let mut across = [0u32; WIDEST];
-    let across = &mut across[..window.across];
-    let start = left * LATTICE + LATTICE / 2 - x;
-    for (lane, key) in across.iter_mut().enumerate() {
-        let dx = start + LATTICE * lane as i32;
-        *key = ((dx * dx) as u32) << window.bits;
-    }
-    let from = (left + window.across as i32) as usize;
-    for row in top..=bottom {
-        let dy = row * LATTICE + LATTICE / 2 - y;
-        let down = u32x8::splat(simd, ((dy * dy) as u32) << window.bits | index);
-        let row = &mut keys.row_mut((row - first) as usize)[from..][..window.across];
-        for (key, across) in row.chunks_exact_mut(8).zip(across.chunks_exact(8)) {
-            let offer = u32x8::from_slice(simd, across) + down;
-            u32x8::from_slice(simd, key).min(offer).store_slice(key);
+    let from = (left + window.margin() as i32) as usize;
+    let lanes = u32x8::from_slice(simd, &[0, 16, 32, 48, 64, 80, 96, 112]);
+    let start = (left * LATTICE + LATTICE / 2 - x) as u32;
+    // three vectors at a time, which hold the window of the usual 8 px cells
+    for block in (0..window.across).step_by(24) {
+        // differences wrap, their squares do not
+        let dx = lanes + start.wrapping_add(16 * block as u32);
+        let (dx1, dx2) = (dx + 128, dx + 256);
+        let shift = window.bits;
+        let across = [(dx * dx) << shift, (dx1 * dx1) << shift, (dx2 * dx2) << shift];
+        let vectors = (window.across - block).min(24) / 8;
+        for row in top..=bottom {
+            let dy = row * LATTICE + LATTICE / 2 - y;
+            let down = u32x8::splat(simd, ((dy * dy) as u32) << window.bits | index);
+            let row = &mut keys.row_mut((row - first) as usize)[from + block..][..8 * vectors];
+            if let Some(row) = row.first_chunk_mut::<24>() {
+                offer(simd, &mut row[..8], across[0] + down);
+                offer(simd, &mut row[8..16], across[1] + down);
+                offer(simd, &mut row[16..], across[2] + down);
+            } else {
+                for (keys, &across) in row.chunks_exact_mut(8).zip(&across) {
+                    offer(simd, keys, across + down);
+                }
+            }
         }
     }
+}
+
+/// Keeps the lesser keys of eight.
+#[inline(always)]
+fn offer<S: Simd>(simd: S, keys: &mut [u32], offer: u32x8<S>) {
+    u32x8::from_slice(simd, keys).min(offer).store_slice(keys);
 }
 
 /// The label of the pixel at column `x`, row `y` by looking at every site.
@@ -304,6 +426,36 @@ mod tests {
                 _ => [rng.int(0, w) as i32, (h / 2) as i32],
             })
             .collect()
+    }
+
+    #[test]
+    fn labels_stay_exact_while_sites_move() {
+        let mut rng = SplitMix64::new(5);
+        for (w, h) in [(16, 16), (33, 31), (100, 75)] {
+            let size = Size::new(w, h);
+            for kind in ["anywhere", "corner", "doubled", "outside"] {
+                let films = (0..6).scan(sites(kind, size, &mut rng), |sites, frame| {
+                    let film = sites.clone();
+                    for site in sites.iter_mut().step_by(1 + 7 * (frame % 3)) {
+                        let far = if frame == 4 { 400 } else { 40 };
+                        *site = site.map(|v| v + rng.int(-far, far) as i32);
+                    }
+                    Some(film)
+                });
+                let films: Vec<_> = films.collect();
+                sweep::everywhere(kind, |level| {
+                    let mut voronoi = Voronoi::default();
+                    for (frame, sites) in films.iter().enumerate() {
+                        voronoi.run(level, size, sites);
+                        for (x, y) in (0..h).flat_map(|y| (0..w).map(move |x| (x, y))) {
+                            let nearest = reference(sites, x, y);
+                            assert_eq!(voronoi.row(y)[x], nearest, "{kind} {size} {frame}: ({x}, {y})");
+                        }
+                    }
+                    0
+                });
+            }
+        }
     }
 
     #[test]

@@ -17,7 +17,7 @@ pub use rgb::Rgb;
 pub use tiles::{Rect, TILE, TileGrid, TileSet};
 
 /// Width and height in pixels.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub struct Size {
     /// Columns.
     pub width: usize,

@@ -5,6 +5,8 @@
 
 mod glb;
 mod harm;
+#[path = "../common/mutate.rs"]
+mod mutate;
 mod write;
 
 use glam::{DVec3, Vec2, Vec3};

@@ -1,12 +1,17 @@
 //! The reference image (sections 3.2 and 4): which pixels are edges, and the force field along them.
 //!
-//! Nothing is laid out: strokes look at few pixels, so each is worked out when asked for. On the camera's part
-//! gradients are exact integers. The models' part covers the camera's: a pixel whose 3x3 neighbors hold a model is
-//! judged by depth alone, unless it is background, where the camera may have an edge as well.
+//! On the camera's part gradients are exact integers, found for all pixels at once. The models' part is worked out
+//! where a stroke asks. It covers the camera's: a pixel whose 3x3 neighbors hold a model is judged by depth alone,
+//! unless it is background, where the camera may have an edge as well.
 
 use super::Config;
 use crate::frame::Layer;
+use crate::kernel::band_rows;
+use crate::kernel::sobel::Lines;
+use crate::pixels::simd::{Level, dispatch};
 use crate::pixels::{Plane, Size};
+use fearless_simd::{Simd, SimdBase};
+use rayon::prelude::*;
 
 /// What a pixel without a model counts as, in parts of the depth extent behind the nearest point: one extent behind
 /// the farthest, so that every contour is an edge.
@@ -21,10 +26,60 @@ pub struct Edge {
     pub nearness: f64,
 }
 
+/// The camera's gradients: four times those of its red, of 0..255.
+#[derive(Debug, Default)]
+pub struct Gradients {
+    /// gx in the low, gy in the high 16 bits: strokes look at both, anywhere in the picture.
+    packed: Plane<u32>,
+    /// What each band of rows works in.
+    lines: Vec<Lines>,
+}
+
+impl Gradients {
+    /// Finds those of a picture's red. Allocates only when a size or the number of threads grows.
+    pub fn run(&mut self, level: Level, red: &Plane<u8>) {
+        let size = red.size();
+        self.packed.resize(size, 0);
+        let rows = band_rows(size.height, 16);
+        let bands = size.height.div_ceil(rows.max(1));
+        if self.lines.len() < bands {
+            self.lines.resize_with(bands, Lines::default);
+        }
+        self.packed.view_mut().par_bands(rows).zip(&mut self.lines).for_each(
+            |((first, mut packed), lines)| {
+                lines.fit(size.width);
+                lines.push(0, red.row(first.saturating_sub(1)));
+                lines.push(1, red.row(first));
+                for y in 0..packed.size().height {
+                    lines.push(y + 2, red.row((first + y + 1).min(size.height - 1)));
+                    dispatch!(level, simd => pack_row(simd, lines, y, packed.row_mut(y)));
+                }
+            },
+        );
+    }
+
+    /// gx and gy at a pixel of the picture.
+    #[inline(always)]
+    fn at(&self, x: usize, y: usize) -> [i32; 2] {
+        let packed = self.packed.at(x, y);
+        [i32::from(packed as i16), packed as i32 >> 16]
+    }
+}
+
+#[inline(always)]
+fn pack_row<S: Simd>(simd: S, lines: &Lines, top: usize, packed: &mut [u32]) {
+    for (block, packed) in packed.chunks_mut(16).enumerate() {
+        let [gx, gy] = lines.gradient(simd, top, 16 * block);
+        for ((to, &gx), &gy) in packed.iter_mut().zip(gx.as_slice()).zip(gy.as_slice()) {
+            *to = u32::from(gx as u16) | u32::from(gy as u16) << 16;
+        }
+    }
+}
+
 /// The reference image of one frame.
 #[derive(Clone, Copy)]
 pub struct Field<'a> {
-    red: &'a Plane<u8>,
+    camera: &'a Gradients,
     /// A squared gradient (times 4, of 0..255) above this is an edge.
     limit: i32,
     relief: Option<Relief<'a>>,
@@ -42,10 +97,11 @@ struct Relief<'a> {
 }
 
 impl<'a> Field<'a> {
-    /// The field of a camera picture's red and of the models over it, if there are any.
-    pub fn new(config: &Config, red: &'a Plane<u8>, layer: Option<&'a Layer>) -> Self {
+    /// The field of a camera picture and of the models over it, if there are any.
+    pub fn new(config: &Config, camera: &'a Gradients, layer: Option<&'a Layer>) -> Self {
         let threshold = config.threshold * (4.0 * 255.0);
-        let layer = layer.filter(|layer| !layer.touched.is_empty() && layer.depth.size() == red.size());
+        let size = camera.packed.size();
+        let layer = layer.filter(|layer| !layer.touched.is_empty() && layer.depth.size() == size);
         let relief = layer.map(|layer| {
             let [near, far] = layer.extent.map(f64::from);
             Relief {
@@ -56,12 +112,12 @@ impl<'a> Field<'a> {
                 guarded: config.slope_guard,
             }
         });
-        Self { red, limit: (threshold * threshold).floor() as i32, relief }
+        Self { camera, limit: (threshold * threshold).floor() as i32, relief }
     }
 
     /// Width and height.
     pub fn size(&self) -> Size {
-        self.red.size()
+        self.camera.packed.size()
     }
 
     /// The edge at a pixel of the picture, if there is one.
@@ -76,7 +132,7 @@ impl<'a> Field<'a> {
                 }
             }
         }
-        let [gx, gy] = self.gradient(x, y);
+        let [gx, gy] = self.camera.at(x, y);
         (gx * gx + gy * gy > self.limit)
             .then(|| Edge { force: along([f64::from(gx), f64::from(gy)]), nearness: 0.0 })
     }
@@ -86,19 +142,10 @@ impl<'a> Field<'a> {
         match self.edge(x, y) {
             Some(edge) => edge.force,
             None => {
-                let [gx, gy] = self.gradient(x, y);
+                let [gx, gy] = self.camera.at(x, y);
                 along([f64::from(gx), f64::from(gy)])
             }
         }
-    }
-
-    /// Four times the gradient of the camera's red, of 0..255.
-    #[inline]
-    fn gradient(&self, x: usize, y: usize) -> [i32; 2] {
-        let [a, b, c] = each(around(self.red, x, y), i32::from);
-        let gx = (a[2] - a[0]) + 2 * (b[2] - b[0]) + (c[2] - c[0]);
-        let gy = (c[0] - a[0]) + 2 * (c[1] - a[1]) + (c[2] - a[2]);
-        [gx, gy]
     }
 }
 

@@ -13,6 +13,7 @@ use super::brush::Brush;
 use super::trace::{Point, Stroke};
 use crate::pixels::Size;
 use fearless_simd::{Simd, SimdBase, SimdFloat, f32x8};
+use std::ops::Range;
 
 /// Samples after the last of a sheet's or shade's row that may be written.
 pub const SLACK: usize = 16;
@@ -26,8 +27,9 @@ pub struct Sheet {
     along: Vec<f32>,
     side: Vec<f32>,
     stride: usize,
-    /// Columns touched in each row, `from..to`.
-    spans: Vec<[u32; 2]>,
+    /// The columns touched in each row, a bit for every `1 << shift` of them.
+    touched: Vec<u64>,
+    shift: u32,
 }
 
 /// Rows of the shade plane, `first` being the topmost.
@@ -49,8 +51,12 @@ impl Sheet {
         let side = length.ceil() as usize;
         self.stride = side.min(band.width) + SLACK;
         let rows = side.min(band.height);
-        if self.spans.len() < rows {
-            self.spans.resize(rows, NOWHERE);
+        self.shift = 2;
+        while self.stride >> self.shift >= 64 {
+            self.shift += 1;
+        }
+        if self.touched.len() < rows {
+            self.touched.resize(rows, 0);
         }
         if self.squares.len() < rows * self.stride {
             self.squares.resize(rows * self.stride, f32::INFINITY);
@@ -100,7 +106,16 @@ impl Sheet {
         let mut from = place(stroke.points[0].at);
         for (k, point) in stroke.points[1..].iter().enumerate() {
             let to = place(point.at);
-            self.segment::<_, QUADS>(simd, [from, to], k as f32, reach as f32, [columns, lines], skipped);
+            let length = config.step as f32;
+            self.segment::<_, QUADS>(
+                simd,
+                [from, to],
+                length,
+                k as f32,
+                reach as f32,
+                [columns, lines],
+                skipped,
+            );
             from = to;
         }
         for line in 0..lines {
@@ -110,17 +125,19 @@ impl Sheet {
             } else {
                 self.blend(simd, config, reach as f32, line, shade);
             }
-            self.spans[line] = NOWHERE;
+            self.touched[line] = 0;
         }
     }
 
-    /// Takes the distances from segment number `k`; places count from the sheet's left and from
+    /// Takes the distances from segment number `k`, `length` px long; places count from the sheet's left and from
     /// `skipped` rows above it.
     #[inline(always)]
+    #[allow(clippy::too_many_arguments)] // one place calls it
     fn segment<S: Simd, const QUADS: bool>(
         &mut self,
         simd: S,
         [a, b]: [[f32; 2]; 2],
+        length: f32,
         k: f32,
         reach: f32,
         [columns, lines]: [usize; 2],
@@ -132,54 +149,62 @@ impl Sheet {
         if right <= left || bottom <= top {
             return;
         }
-        let along = [b[0] - a[0], b[1] - a[1]];
-        let square = along[0] * along[0] + along[1] * along[1];
-        let length = square.sqrt();
-        let unit = [along[0] / length, along[1] / length];
+        let part = 1.0 / length;
+        let unit = [(b[0] - a[0]) * part, (b[1] - a[1]) * part];
         let (zero, end) = (f32x8::splat(simd, 0.0), f32x8::splat(simd, length));
         let lanes = f32x8::from_slice(simd, &[0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0]);
         let stride = self.stride;
-        for x in (left..right).step_by(8) {
+        let blocks = (right - left).div_ceil(8);
+        for x in (0..blocks).map(|block| left + 8 * block) {
             let dx = lanes + (x as i32 as f32 - a[0]);
             // how far along the segment's line a pixel lies, and how far beside it
             let (ahead, beside) = (dx * unit[0], dx * unit[1]);
-            let rows = self.squares[(top - skipped) * stride..].chunks_exact_mut(stride);
-            for (line, row) in (top..bottom).zip(rows) {
+            let mut at = (top - skipped) * stride + x;
+            for line in top..bottom {
                 let y = line as i32 as f32 - a[1];
                 let (ahead, beside) = (ahead + y * unit[1], beside - y * unit[0]);
                 let nearest = ahead.max(zero).min(end);
                 let past = ahead - nearest;
                 let square = past * past + beside * beside;
-                let squares = &mut row[x..][..8];
+                let squares = &mut self.squares[at..at + 8];
                 let kept = f32x8::from_slice(simd, squares);
                 square.min(kept).store_slice(squares);
                 if QUADS {
                     let nearer = simd.simd_lt_f32x8(square, kept);
-                    let at = (line - skipped) * stride + x;
-                    for (sheet, value) in [(&mut self.along, nearest / length + k), (&mut self.side, -beside)]
-                    {
-                        let sheet = &mut sheet[at..][..8];
+                    for (sheet, value) in [(&mut self.along, nearest * part + k), (&mut self.side, -beside)] {
+                        let sheet = &mut sheet[at..at + 8];
                         simd.select_f32x8(nearer, value, f32x8::from_slice(simd, sheet)).store_slice(sheet);
                     }
                 }
+                at += stride;
             }
         }
-        let (left, right) = (left as u32, (left + (right - left).next_multiple_of(8)) as u32);
-        for span in &mut self.spans[top - skipped..bottom - skipped] {
-            *span = [span[0].min(left), span[1].max(right)];
+        let last = (left + 8 * blocks - 1) >> self.shift;
+        let columns = u64::MAX << (left >> self.shift) & u64::MAX >> (63 - last);
+        for touched in &mut self.touched[top - skipped..bottom - skipped] {
+            *touched |= columns;
         }
+    }
+
+    /// The columns touched in a line of the sheet.
+    #[inline(always)]
+    fn span(&self, line: usize) -> Range<usize> {
+        let touched = self.touched[line];
+        if touched == 0 {
+            return 0..0;
+        }
+        let (from, to) = (touched.trailing_zeros() as usize, (u64::BITS - touched.leading_zeros()) as usize);
+        // the last bit may stand for columns that the sheet does not have
+        from << self.shift..(to << self.shift).min(self.stride & !7)
     }
 
     /// Blends one line of the sheet, which is empty afterwards, into a row of the shade plane.
     #[inline(always)]
     fn blend<S: Simd>(&mut self, simd: S, config: &Config, reach: f32, line: usize, shade: &mut [f32]) {
-        let [from, to] = self.spans[line].map(|x| x as usize);
-        let width = to.saturating_sub(from).next_multiple_of(8);
-        if width == 0 {
-            return;
-        }
-        let squares = &mut self.squares[line * self.stride + from..][..width];
-        let shade = &mut shade[from..from + width];
+        let span = self.span(line);
+        let width = span.len().next_multiple_of(8);
+        let squares = &mut self.squares[line * self.stride + span.start..][..width];
+        let shade = &mut shade[span.start..][..width];
         let (zero, one) = (f32x8::splat(simd, 0.0), f32x8::splat(simd, 1.0));
         let (opacity, reach) = (f32x8::splat(simd, config.opacity as f32), f32x8::splat(simd, reach));
         let blocks = squares.as_chunks_mut::<8>().0.iter_mut().zip(shade.as_chunks_mut::<8>().0);
@@ -197,8 +222,8 @@ impl Sheet {
         let row = line * self.stride;
         let (opacity, fade) = (config.opacity as f32, config.fade as f32);
         let last = points.len() - 2;
-        let [from, to] = self.spans[line].map(|x| x as usize);
-        for (x, shade) in shade.iter_mut().enumerate().take(to).skip(from) {
+        let span = self.span(line);
+        for (x, shade) in shade.iter_mut().enumerate().take(span.end).skip(span.start) {
             let square = std::mem::replace(&mut self.squares[row + x], f32::INFINITY);
             let along = self.along[row + x];
             let k = (along as usize).min(last);
@@ -217,18 +242,15 @@ impl Sheet {
     }
 }
 
-/// No columns: any span joined to it is that span.
-const NOWHERE: [u32; 2] = [u32::MAX, 0];
-
 fn larger(a: f64, b: f64) -> f64 {
     if a > b { a } else { b }
 }
 
-/// The whole numbers within `reach` of the range from `a` to `b`, of `0..count`: from, to.
+/// The whole numbers nearer than `reach` to the range from `a` to `b`, of `0..count`: from, to.
 #[inline(always)]
 fn covered(a: f32, b: f32, reach: f32, count: usize) -> (usize, usize) {
     let (low, high) = if a < b { (a, b) } else { (b, a) };
-    // conversions cut off; one more on either side does no harm
-    let (from, to) = ((low - reach) as i32, (high + reach + 1.0) as i32);
+    // conversions cut off, towards 0
+    let (from, to) = ((low - reach + 1.0) as i32, (high + reach + 1.0) as i32);
     ((from.max(0) as usize).min(count), (to.max(0) as usize).min(count))
 }

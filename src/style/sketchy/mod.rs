@@ -35,7 +35,7 @@ use crate::pixels::{Plane, PlaneMut, Rgb, Size};
 use crate::render::Look;
 use brush::Brush;
 use fearless_simd::{Bytes, Simd, SimdBase, f32x8, u16x16};
-use field::Field;
+use field::{Field, Gradients};
 use ink::{Rows, SLACK, Sheet};
 use rayon::prelude::*;
 use sprites::Sprites;
@@ -55,6 +55,7 @@ pub struct Sketchy {
     started: Option<u64>,
     /// How the scene has moved, where the starts move with it.
     motion: Option<Similarity>,
+    gradients: Gradients,
     starts: Starts,
     strokes: Strokes,
     sprites: Sprites,
@@ -108,6 +109,7 @@ impl Sketchy {
             frames: 0,
             started: None,
             motion: None,
+            gradients: Gradients::default(),
             starts: Starts::default(),
             strokes: Strokes::default(),
             sprites: Sprites::default(),
@@ -141,7 +143,8 @@ impl Sketchy {
         let mut canvas = Rgb::default();
         let picture = composite::augmented(&input, &mut canvas);
         let size = picture.size();
-        let field = Field::new(&self.config, &input.frame.color.planes[0], input.layer);
+        self.gradients.run(self.level, &input.frame.color.planes[0]);
+        let field = Field::new(&self.config, &self.gradients, input.layer);
         let mut stages = Stages {
             edge: Plane::from_fn(size, |x, y| f32::from(u8::from(field.edge(x, y).is_some()))),
             fx: Plane::from_fn(size, |x, y| field.force(x, y)[0] as f32),
@@ -210,7 +213,8 @@ impl Sketchy {
                 }
             }
         }
-        let field = Field::new(config, &input.frame.color.planes[0], input.layer);
+        self.gradients.run(self.level, &input.frame.color.planes[0]);
+        let field = Field::new(config, &self.gradients, input.layer);
         match config.renderer {
             Renderer::Sprites => self.sprites.advance(config, &field, starts, self.frames),
             Renderer::Lines | Renderer::Polygons => self.strokes.trace(config, &field, starts.ordered()),

@@ -211,7 +211,8 @@ fn draw(config: &Config, points: &[Point], shade: &mut Plane<f64>) {
                 let mut opacity = config.opacity * coverage;
                 if quads {
                     let u = passed / (points.len() - 1) as f64;
-                    let v = 0.5 + 0.5 * distance.copysign(side) / reach;
+                    // a pixel straight ahead of an end lies on neither side: it counts as right
+                    let v = 0.5 + 0.5 * if side < 0.0 { -distance } else { distance } / reach;
                     opacity *= (1.0 - config.fade * u) * brush(config, u, v);
                 }
                 shade.row_mut(y)[x] *= 1.0 - opacity;

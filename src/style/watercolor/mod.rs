@@ -4,8 +4,8 @@
 //! 1. Every pixel is labeled with its nearest site, exactly (`voronoi`); sites start on a jittered grid (`sites`).
 //! 2. Edges are found in YUV and RGB (`contrast`) and each cell's colors and edge pixels are summed (`sums`).
 //! 3. A pixel gets its cell's mean color; an edge pixel is black.
-//! 4. Re-tiling: a cell with enough edge pixels moves its site to their mean, for the next frame. Where none moves,
-//!    the labels stay.
+//! 4. Re-tiling: a cell with enough edge pixels moves its site to their mean, for the next frame. Labels stay where
+//!    no site near them moves.
 //!
 //! So a frame depends on the ones before it through the sites alone: the same sequence always gives the same bytes,
 //! and [`Watercolor::restart`] begins a sequence anew. Objects are drawn by a
@@ -115,8 +115,6 @@ pub struct Watercolor {
     anchored: Anchored,
     /// The sites before re-tiling.
     unmoved: Vec<[i32; 2]>,
-    /// Whether the labels are those of `sites`.
-    labeled: bool,
     edges: Plane<u8>,
     sums: Sums,
     colors: Vec<u32>,
@@ -154,7 +152,6 @@ impl Watercolor {
             motion: None,
             anchored: Anchored::default(),
             unmoved: Vec::new(),
-            labeled: false,
             edges: Plane::default(),
             sums: Sums::default(),
             colors: Vec::new(),
@@ -165,7 +162,7 @@ impl Watercolor {
     pub fn restart(&mut self) {
         self.sites.clone_from(&self.initial);
         self.frames = 0;
-        self.labeled = false;
+        self.voronoi.forget();
         self.anchored.restart();
     }
 
@@ -225,12 +222,8 @@ impl Style for Watercolor {
             if let Some(motion) = &self.motion {
                 let side = f64::from(self.config.cell);
                 self.anchored.place(motion, size, side, self.config.seed, &mut self.sites);
-                self.labeled = false;
             }
-            if !self.labeled {
-                self.voronoi.run(self.level, size, &self.sites);
-                self.labeled = true;
-            }
+            self.voronoi.run(self.level, size, &self.sites);
             let (weights, threshold) = (self.config.weights(), self.config.threshold);
             self.edges.resize(size, 0);
             let count = self.sites.len();
@@ -242,7 +235,7 @@ impl Style for Watercolor {
                 if self.motion.is_some() {
                     self.unmoved.clone_from(&self.sites);
                 }
-                self.labeled = !self.sums.retile(self.config.min_edge, &mut self.sites);
+                self.sums.retile(self.config.min_edge, &mut self.sites);
                 if let Some(motion) = &self.motion {
                     self.anchored.keep(motion, &self.unmoved, &self.sites);
                 }

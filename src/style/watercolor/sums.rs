@@ -114,19 +114,14 @@ impl Sums {
     }
 
     /// Moves the sites of cells with at least `min_edge` edge pixels to their mean, on the lattice (section 3.3).
-    /// Whether any site is elsewhere now.
-    pub fn retile(&self, min_edge: u32, sites: &mut [[i32; 2]]) -> bool {
-        let mut moved = false;
+    pub fn retile(&self, min_edge: u32, sites: &mut [[i32; 2]]) {
         for (cell, site) in self.cells.iter().zip(sites) {
             if cell.edges >= min_edge {
                 let n = u64::from(cell.edges);
                 // floor(16 (sum / n + 1/2) + 1/2)
-                let mean = cell.edge_at.map(|sum| ((32 * sum + 17 * n) / (2 * n)) as i32);
-                moved |= *site != mean;
-                *site = mean;
+                *site = cell.edge_at.map(|sum| ((32 * sum + 17 * n) / (2 * n)) as i32);
             }
         }
-        moved
     }
 }
 
