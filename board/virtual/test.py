@@ -68,7 +68,9 @@ feed /host/clip.yuyv 640 480 2 > /tmp/feed.log 2>&1 &
 for i in $(seq 200); do grep -q feeding /tmp/feed.log && break; sleep .1; done
 cat /tmp/feed.log
 echo BOARD: run
-vernissage run --config /host/visor.toml --frames {frames} --json --trace /tmp/trace.bin > /host/run.json 2> /host/run.err
+vernissage run --config /host/visor.toml --frames {frames} --json --trace /tmp/trace.bin > /host/run.json 2> /host/run.err &
+while grep VmHWM /proc/$!/status > /tmp/now 2> /dev/null; do mv /tmp/now /host/memory; sleep .5; done
+wait $!
 echo BOARD: ran $?
 cp /tmp/trace.bin /host/trace.bin
 """
@@ -309,6 +311,11 @@ def loop(host, folder, frames):
     check(figures["out_of_order"] == 0, f"run: {figures['out_of_order']} frames out of order"
           f" ({figures['missing']} missing in the camera's sequence, {figures['replaced']} replaced by newer ones)")
     check(tracked >= 0.95 * frames, f"run: marker tracked in {tracked} of {frames} frames")
+    memory = int((folder / "host" / "memory").read_text().split()[1]) / 1024
+    check(memory <= 64, f"run: {memory:.0f} MB of memory at most")
+    # the trace's first record tells when its picture was shown, on the clock that starts with the kernel
+    first = int.from_bytes((folder / "host" / "trace.bin").read_bytes()[28:36], "little") / 1e9
+    note(f"first picture {first:.1f} s after the kernel's start (the emulation takes as long as this machine is busy)")
 
     said = run([host, "render", "--config", folder / "host" / "visor.toml",
                 "--trace", folder / "host" / "trace.bin", "--out", folder / "replay"], 120)
