@@ -1,13 +1,13 @@
 //! A chunk of consecutive triangles: those that cover a pixel center become records, listed per tile in submission
 //! order. Each chunk is filled by one task and read by all tiles, so nothing is locked.
 //!
-//! Eight triangles at a time are bounded and wound by their spots alone; of those in a box of at most two by two
+//! Eight triangles at a time are bounded and wound by their spots alone; of those in a box of at most four by four
 //! pixel centers the centers themselves are tried. Only what is left is looked at singly: small triangles become
 //! records at once, large ones and those to be cut go the long way.
 
 use super::clip::{self, Corner};
 use super::shape::{CLUSTER, Frustum, Shape};
-use super::sort::{BATCH, Rules, SEVERAL, SMALL, Sorted};
+use super::sort::{BATCH, LITTLE, Rules, SEVERAL, SMALL, Sorted};
 use super::vertex::{NO_SPOT, Spot, Vertices, normal_matrix, unit};
 use super::{Instance, View};
 use crate::frame::Needs;
@@ -36,8 +36,10 @@ pub(super) struct Record {
     pub surface: u32,
     /// Intensity of a flat face; below 0 where intensity is interpolated.
     pub face: f32,
-    /// Pixels whose centers it may cover: x0, y0, x1, y1, all inclusive.
+    /// Pixels whose centers it may cover: x0, y0, x1, y1, all inclusive; within the tile unless large.
     pub bounds: [i16; 4],
+    /// The centers it covers of the four by four from x0, y0 on, row by row; 0 where they are not known.
+    pub cover: u16,
     /// The next record of the same tile.
     next: u32,
 }
@@ -124,7 +126,29 @@ impl<'a> Sorting<'a> {
 
     fn record(&self, triangle: usize, corners: [u32; 3], bounds: [i16; 4]) -> Record {
         let (surface, face) = (self.surface(triangle), self.face(corners));
-        Record { corners, surface, face, bounds, next: NONE }
+        Record { corners, surface, face, bounds, ..Record::NONE }
+    }
+}
+
+impl Record {
+    /// Nothing.
+    pub const NONE: Record =
+        Record { corners: [0; 3], surface: 0, face: -1.0, bounds: [0; 4], cover: 0, next: NONE };
+
+    /// What of it is inside these pixels.
+    fn cut(mut self, [x0, y0, x1, y1]: [i16; 4]) -> Self {
+        let [left, top, right, bottom] = self.bounds;
+        self.bounds = [left.max(x0), top.max(y0), right.min(x1), bottom.min(y1)];
+        if self.cover != 0 {
+            let side = LITTLE as i16;
+            let before = self.bounds[0] - left;
+            // columns before the first leave their rows, those after the last are none
+            let columns = (0xf_u16 >> before).min(0xf >> (side - 1 - (self.bounds[2] - self.bounds[0])));
+            let rows = 0xffff >> (side * (side - 1 - (self.bounds[3] - self.bounds[1])));
+            self.cover >>= side * (self.bounds[1] - top) + before;
+            self.cover &= columns * 0x1111 & rows;
+        }
+        self
     }
 }
 
@@ -218,9 +242,10 @@ impl Chunk {
                 let corners = if front { [a, c, b] } else { [a, b, c] };
                 let bounds = [sorted.lows[k], sorted.lows[k] >> 16, sorted.highs[k], sorted.highs[k] >> 16];
                 let bounds = bounds.map(|v| v as i16);
+                let cover = sorted.covers[k] as u16;
                 let record = match sorting.plain {
-                    Some(surface) => Record { corners, surface, face: -1.0, bounds, next: NONE },
-                    None => Record { corners, ..sorting.record(first + k, [a, b, c], bounds) },
+                    Some(surface) => Record { corners, surface, bounds, cover, ..Record::NONE },
+                    None => Record { corners, cover, ..sorting.record(first + k, [a, b, c], bounds) },
                 };
                 match sorted.tiles[k] {
                     SEVERAL => self.list(record),
@@ -273,19 +298,20 @@ impl Chunk {
             Corner {
                 point: instance.placed.to_camera.transform_point3(mesh.positions[c].as_dvec3()),
                 normal: DVec3::new(normal[0].into(), normal[1].into(), normal[2].into()),
-                intensity: f64::from(view.vertices.places[index].intensity),
+                intensity: view.vertices.places[index].intensity,
                 uv: mesh.texcoords.get(c).map_or(DVec2::ZERO, |uv| uv.as_dvec2()),
                 color: mesh.colors.get(c).map_or(DVec3::ONE, |color| color.as_dvec3()),
             }
         });
         clip::cut(cut, view.shot.camera.near, view.shot.field, &mut |piece| {
-            let Some((wound, bounds)) = shape(piece.each_ref().map(|seen| seen.vertex.spot), sorting) else {
+            let Some((wound, bounds)) = shape(piece.each_ref().map(|seen| seen.vertex.spot()), sorting) else {
                 return;
             };
             let first = self.own.places.len() as u32;
             for seen in piece {
                 self.own.places.push(seen.vertex);
-                self.own.normals.push(seen.corner.normal.as_vec3().extend(seen.vertex.intensity).to_array());
+                self.own.spots.push(seen.vertex.spot());
+                self.own.normals.push(seen.corner.normal.as_vec3().extend(seen.vertex.intensity as f32).to_array());
                 self.own_uv.push(seen.corner.uv.as_vec2());
                 self.own_colors.push(seen.corner.color.as_vec3());
             }
@@ -318,7 +344,11 @@ impl Chunk {
         }
         for row in y0..=y1 {
             for column in x0..=x1 {
-                self.append(record, row * self.columns + column);
+                let (x, y) = ((column * TILE) as i16, (row * TILE) as i16);
+                let part = record.cut([x, y, x + (TILE as i16 - 1), y + (TILE as i16 - 1)]);
+                if record.cover == 0 || part.cover != 0 {
+                    self.append(part, row * self.columns + column);
+                }
             }
         }
     }

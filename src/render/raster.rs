@@ -1,4 +1,5 @@
 //! One tile: walk the records of all chunks in order, a run of pixels at a time.
+//! Small triangles are set up four at a time, a lane each; of those in little boxes the covered pixels are known.
 //!
 //! Coverage is exact: integer edge functions of the snapped corners, the fill rule folded into the constant.
 //! 1/z and attributes over z of the unsnapped corners are evaluated in f64 at the start of every row and stepped in
@@ -7,15 +8,16 @@
 //! in the same pass. Runs are as wide as the machine's vectors: no value depends on where they begin.
 
 use super::bins::{Chunk, LARGE, OWN, Record};
-use super::edges::{Area, Edges, Slope, Weights};
-use super::run::{Line, Run};
+use super::View;
+use super::edges::{Area, Edges, Slope, Slopes, SlopesApart, Weights};
+use super::run::{Line, Pixels, Run};
+use super::sort::LITTLE;
 use super::tile::{Channels, MOST, STRIDE, Slot};
-use super::vertex::{Spot, Vertex, narrow};
-use super::{Instance, View};
+use super::vertex::{Spot, Vertex, Vertices, narrow, widen};
 use crate::pixels::TILE;
 use crate::pixels::simd::{Level, dispatch};
-use fearless_simd::{Simd, f64x4, prelude::*};
-use glam::{Vec2, Vec3};
+use fearless_simd::{Simd, SimdFrom, f64x4, prelude::*};
+use glam::Vec3;
 
 /// Width of the strips of steep triangles, px.
 const STRIP: i32 = 8;
@@ -46,63 +48,263 @@ pub(super) fn draw_tile(level: Level, view: &View<'_>, chunks: &[Chunk], slot: &
     slot.covered = rows.any(|row| most(&row[..rect.x1 - rect.x0]) > view.nothing.to_bits());
 }
 
-/// What stays the same for all records of a chunk in a tile.
-struct Pen<'a> {
-    /// Top left pixel of the tile.
-    origin: [i32; 2],
-    channels: Channels,
-    phantom: bool,
-    source: Source<'a>,
+/// The tile at hand.
+struct Tile<'a> {
+    view: &'a View<'a>,
+    /// Its pixels: left, top, right, bottom, inclusive.
+    bounds: [i32; 4],
+}
+
+/// A triangle to draw.
+#[derive(Clone, Copy)]
+struct Triangle<'a> {
+    record: &'a Record,
+    chunk: &'a Chunk,
+    /// Its corners among all: the frame's vertices from `first` on, or the chunk's own.
+    vertices: &'a Vertices,
+    first: usize,
+    places: [&'a Vertex; 3],
+}
+
+impl<'a> Triangle<'a> {
+    #[inline(always)]
+    fn new(view: &View<'a>, chunk: &'a Chunk, record: &'a Record) -> Option<Self> {
+        let own = record.corners[0] & OWN != 0;
+        let first = if own { 0 } else { view.instances[chunk.instance].first_vertex };
+        let vertices = if own { &chunk.own } else { view.vertices };
+        let places = vertices.places.get(first..)?;
+        let [a, b, c] = index(record);
+        Some(Self { record, chunk, vertices, first, places: [places.get(a)?, places.get(b)?, places.get(c)?] })
+    }
+
+    #[inline(always)]
+    fn spots(&self) -> [Spot; 3] {
+        let of = |i: usize| self.vertices.spots.get(self.first + i).copied().unwrap_or_default();
+        let [a, b, c] = index(self.record);
+        [of(a), of(b), of(c)]
+    }
+
+    /// The slopes of normal and intensity.
+    #[inline(always)]
+    fn four<S: Simd>(&self, simd: S, weights: &Weights<S>) -> Slopes<S> {
+        let of = |i: usize| self.vertices.normals.get(self.first + i).copied().unwrap_or_default();
+        let ([i, j, k], [a, b, c]) = (index(self.record), self.places);
+        weights.slopes([
+            widen(simd, of(i)) * f64x4::splat(simd, a.w),
+            widen(simd, of(j)) * f64x4::splat(simd, b.w),
+            widen(simd, of(k)) * f64x4::splat(simd, c.w),
+        ])
+    }
+
+    /// The slopes of all attributes but light, in the order of the channels.
+    #[inline(always)]
+    fn others<S: Simd>(&self, simd: S, view: &View<'_>, weights: &Weights<S>) -> [Slope; MOST - 1] {
+        let mut slopes = [Slope::default(); MOST - 1];
+        let ([i, j, k], [a, b, c]) = (index(self.record), self.places);
+        let mut next = 0;
+        let mut put = |new: Slopes<S>, count: usize| {
+            let apart = new.apart();
+            for slope in slopes[next..].iter_mut().take(count).enumerate() {
+                *slope.1 = apart.one(slope.0);
+            }
+            next += count;
+        };
+        if view.channels.normals {
+            put(self.four(simd, weights), 3);
+        }
+        let mesh = &view.shot.scene.models[view.instances[self.chunk.instance].placed.model].mesh;
+        let own = self.record.corners[0] & OWN != 0;
+        let (uv, colors) =
+            if own { (&self.chunk.own_uv, &self.chunk.own_colors) } else { (&mesh.texcoords, &mesh.colors) };
+        for (wanted, count) in [(view.channels.uv, 2), (view.channels.colors, 3)] {
+            let of = |i: usize| match count {
+                2 => uv.get(i).copied().unwrap_or_default().extend(0.0).extend(0.0).to_array(),
+                _ => colors.get(i).copied().unwrap_or(Vec3::ONE).extend(0.0).to_array(),
+            };
+            if wanted {
+                let (a, b, c) =
+                    (f64x4::splat(simd, a.w), f64x4::splat(simd, b.w), f64x4::splat(simd, c.w));
+                put(
+                    weights.slopes([widen(simd, of(i)) * a, widen(simd, of(j)) * b, widen(simd, of(k)) * c]),
+                    count,
+                );
+            }
+        }
+        slopes
+    }
+
+    /// Snapping moves a covered center at most .003 px out of the triangle; slivers must not turn that into any depth
+    /// at all.
+    #[inline(always)]
+    fn kept_near<S: Simd>(&self, simd: S, here: S::f32s) -> S::f32s {
+        let [a, b, c] = self.places;
+        let (least, most) = (a.w.min(b.w).min(c.w), a.w.max(b.w).max(c.w));
+        let reach = (most - least) * 0.5;
+        let low = S::f32s::simd_from(simd, (least - reach).max(least * 0.5) as f32);
+        let high = S::f32s::simd_from(simd, (most + reach) as f32);
+        let here = here.simd_lt(low).select(low, here);
+        high.simd_lt(here).select(high, here)
+    }
+}
+
+/// The record's corners without their marks.
+#[inline(always)]
+fn index(record: &Record) -> [usize; 3] {
+    let [a, b, c] = record.corners;
+    [(a & !OWN) as usize, (b & !LARGE) as usize, c as usize]
 }
 
 #[inline(always)]
 fn draw_records<S: Simd, const MODE: u8>(simd: S, view: &View<'_>, chunks: &[Chunk], slot: &mut Slot) {
-    let rect = view.shot.grid.rect(slot.tile);
-    let [left, top, right, bottom] = [rect.x0, rect.y0, rect.x1 - 1, rect.y1 - 1].map(|v| v as i32);
+    let tile = slot.tile;
+    let rect = view.shot.grid.rect(tile);
+    let pen = Tile { view, bounds: [rect.x0, rect.y0, rect.x1 - 1, rect.y1 - 1].map(|v| v as i32) };
+    let pixels = &mut Pixels::of(slot, view.channels);
+    let (nobody, nowhere) = (Chunk::default(), Vertex::default());
+    let places = [&nowhere; 3];
+    let blank = Triangle { record: &Record::NONE, chunk: &nobody, vertices: view.vertices, first: 0, places };
+    let (mut four, mut count) = ([blank; 4], 0);
     for chunk in chunks {
-        if !chunk.holds(slot.tile) {
+        if !chunk.holds(tile) {
             continue;
         }
-        let instance = &view.instances[chunk.instance];
-        let phantom = view.shot.scene.models[instance.placed.model].phantom;
-        let whole = Source::of_instance(view, instance);
-        let pen = |source| Pen { origin: [left, top], channels: view.channels, phantom, source };
-        let (whole, own) = (pen(whole), pen(Source::of_chunk(chunk)));
-        for record in chunk.records_of(slot.tile) {
-            let [x0, y0, x1, y1] = record.bounds;
-            let area = Area {
-                first: i32::from(x0).max(left),
-                top: i32::from(y0).max(top),
-                last: i32::from(x1).min(right),
-                bottom: i32::from(y1).min(bottom),
-            };
-            if area.first > area.last || area.top > area.bottom {
+        for record in chunk.records_of(tile) {
+            let Some(triangle) = Triangle::new(view, chunk, record) else { continue };
+            if (record.corners[0] | record.corners[1]) & (OWN | LARGE) != 0 {
+                draw_four::<S, MODE>(simd, &pen, &four[..count], &four, pixels);
+                count = 0;
+                draw_large::<S, MODE>(simd, &pen, &triangle, pixels);
                 continue;
             }
-            if (record.corners[0] | record.corners[1]) & (OWN | LARGE) == 0 {
-                let Some(triangle) = Triangle::new(&whole, record, record.corners) else { continue };
-                let edges = Edges::small(simd, &area, triangle.spots());
-                if draw_area::<S, MODE>(simd, &triangle, &area, &edges, None, slot) {
-                    continue;
-                }
+            four[count] = triangle;
+            count += 1;
+            if count == four.len() {
+                draw_four::<S, MODE>(simd, &pen, &four, &four, pixels);
+                count = 0;
             }
-            let pen = if record.corners[0] & OWN == 0 { &whole } else { &own };
-            draw_slowly::<S, MODE>(simd, pen, record, &area, slot);
+        }
+    }
+    draw_four::<S, MODE>(simd, &pen, &four[..count], &four, pixels);
+}
+
+/// Four triangles, each over its area.
+struct Setup {
+    weights: [SlopesApart; 2],
+    w: SlopesApart,
+    light: SlopesApart,
+    /// 1/z and light at the first pixel of the first rows.
+    w_rows: [[f32; 4]; LITTLE as usize],
+    light_rows: [[f32; 4]; LITTLE as usize],
+    /// A bit each: too steep for their width, slivers.
+    steep: u64,
+    slivers: u64,
+}
+
+impl Setup {
+    #[inline(always)]
+    fn new<S: Simd, const MODE: u8>(simd: S, four: &[Triangle<'_>; 4], areas: &[Area; 4]) -> Self {
+        let of = |v: f64| f64x4::splat(simd, v);
+        let (a, b, c) = (corners(simd, four, 0), corners(simd, four, 1), corners(simd, four, 2));
+        let [p, q, r, s] = areas;
+        let left = f64x4::simd_from(simd, [p.first, q.first, r.first, s.first].map(f64::from));
+        let last = f64x4::simd_from(simd, [p.last, q.last, r.last, s.last].map(f64::from));
+        let top = f64x4::simd_from(simd, [p.top, q.top, r.top, s.top].map(f64::from));
+        let weights = Weights::new(simd, [left, top], [a[0], b[0], c[0]], [a[1], b[1], c[1]]);
+        let w = weights.slopes([a[2], b[2], c[2]]);
+        let mut light = Slopes::zero(simd);
+        if MODE != BOTH {
+            // over z; of flat faces intensity itself
+            light = weights.slopes([a[3] * a[2], b[3] * b[2], c[3] * c[2]]);
+            let faces = [four[0].record.face, four[1].record.face, four[2].record.face, four[3].record.face];
+            let faces = widen(simd, faces);
+            let flat = faces.simd_ge(of(0.0));
+            light.origin = flat.select(faces, light.origin);
+            light.right = flat.select(of(0.0), light.right);
+            light.down = flat.select(of(0.0), light.down);
+        }
+        let (mut w_rows, mut light_rows) = ([[0.0; 4]; LITTLE as usize], [[0.0; 4]; LITTLE as usize]);
+        for (y, (w_row, light_row)) in w_rows.iter_mut().zip(&mut light_rows).enumerate() {
+            w.at(simd, y as f64).store_slice(w_row);
+            if MODE != BOTH {
+                light.at(simd, y as f64).store_slice(light_row);
+            }
+        }
+        let (across, along) = weights.steepness();
+        let (width, least) = (last - left, a[2].min(b[2]).min(c[2]));
+        let steep = (w.right.abs() * width).simd_gt(of(STEEP_DEPTH) * least)
+            | (across * width).simd_gt(of(STEEP_WEIGHTS));
+        let steep = steep & width.simd_ge(of(f64::from(STRIP)));
+        Self {
+            weights: [weights.0[0].apart(), weights.0[1].apart()],
+            w: w.apart(),
+            light: light.apart(),
+            w_rows,
+            light_rows,
+            steep: steep.to_bitmask(),
+            slivers: (across + along).simd_gt(of(SLIVER)).to_bitmask(),
+        }
+    }
+}
+
+/// One corner of each of four triangles: x, y, 1/z and intensity.
+#[inline(always)]
+fn corners<S: Simd>(simd: S, four: &[Triangle<'_>; 4], k: usize) -> [f64x4<S>; 4] {
+    let (a, b, c, d) = (four[0].places[k], four[1].places[k], four[2].places[k], four[3].places[k]);
+    [
+        f64x4::simd_from(simd, [a.x, b.x, c.x, d.x]),
+        f64x4::simd_from(simd, [a.y, b.y, c.y, d.y]),
+        f64x4::simd_from(simd, [a.w, b.w, c.w, d.w]),
+        f64x4::simd_from(simd, [a.intensity, b.intensity, c.intensity, d.intensity]),
+    ]
+}
+
+#[inline(always)]
+fn whole_area(record: &Record) -> Area {
+    let [x0, y0, x1, y1] = record.bounds;
+    Area { first: x0.into(), top: y0.into(), last: x1.into(), bottom: y1.into() }
+}
+
+/// Draws small triangles, at most four, one after the other; `lanes` begins with them.
+#[inline(always)]
+fn draw_four<S: Simd, const MODE: u8>(
+    simd: S,
+    tile: &Tile<'_>,
+    triangles: &[Triangle<'_>],
+    lanes: &[Triangle<'_>; 4],
+    pixels: &mut Pixels<'_>,
+) {
+    if triangles.is_empty() {
+        return;
+    }
+    let [p, q, r, s] = lanes;
+    let areas =
+        [whole_area(p.record), whole_area(q.record), whole_area(r.record), whole_area(s.record)];
+    let setup = Setup::new::<S, MODE>(simd, lanes, &areas);
+    for (k, (triangle, area)) in triangles.iter().zip(&areas).enumerate() {
+        if setup.steep >> k & 1 == 1 {
+            draw_large::<S, MODE>(simd, tile, triangle, pixels);
+        } else if triangle.record.cover != 0 && setup.slivers >> k & 1 == 0 {
+            draw_little::<S, MODE>(simd, tile, triangle, &setup, k, area, pixels);
+        } else {
+            let edges = Edges::small(simd, area, triangle.spots());
+            draw_area::<S, MODE>(simd, tile, triangle, &setup, k, area, &edges, None, pixels);
         }
     }
 }
 
 /// Large triangles, those made by cutting and steep ones.
 #[inline(never)]
-fn draw_slowly<S: Simd, const MODE: u8>(
+fn draw_large<S: Simd, const MODE: u8>(
     simd: S,
-    pen: &Pen<'_>,
-    record: &Record,
-    area: &Area,
-    slot: &mut Slot,
+    tile: &Tile<'_>,
+    triangle: &Triangle<'_>,
+    pixels: &mut Pixels<'_>,
 ) {
-    let [a, b, c] = record.corners;
-    let Some(triangle) = Triangle::new(pen, record, [a & !OWN, b & !LARGE, c]) else { return };
+    let ([x0, y0, x1, y1], [left, top, right, bottom]) = (triangle.record.bounds.map(i32::from), tile.bounds);
+    let area = Area { first: x0.max(left), top: y0.max(top), last: x1.min(right), bottom: y1.min(bottom) };
+    if area.first > area.last || area.top > area.bottom {
+        return;
+    }
     let mut draw = |area: &Area| {
         let Some(exact) = Edges::new(area, triangle.spots()) else { return true };
         let (edges, wide) = match exact.narrow(area) {
@@ -111,82 +313,152 @@ fn draw_slowly<S: Simd, const MODE: u8>(
         };
         simd.vectorize(
             #[inline(always)]
-            || draw_area::<S, MODE>(simd, &triangle, area, &edges, wide, slot),
+            || {
+                let setup = Setup::new::<S, MODE>(simd, &[*triangle; 4], &[*area; 4]);
+                if setup.steep == 0 {
+                    draw_area::<S, MODE>(simd, tile, triangle, &setup, 0, area, &edges, wide, pixels);
+                }
+                setup.steep == 0
+            },
         )
     };
-    if draw(area) {
+    if draw(&area) {
         return;
     }
     for first in (area.first..=area.last).step_by(STRIP as usize) {
-        draw(&Area { first, last: area.last.min(first + STRIP - 1), ..*area });
+        draw(&Area { first, last: area.last.min(first + STRIP - 1), ..area });
     }
 }
 
-/// Where the corners of records are: the vertices of an instance, or those a chunk made by cutting.
-struct Source<'a> {
-    places: &'a [Vertex],
-    normals: &'a [[f32; 4]],
-    uv: &'a [Vec2],
-    colors: &'a [Vec3],
+/// What a triangle's runs are drawn with.
+struct Ink<S: Simd> {
+    light_right: S::f32s,
+    /// Normal and intensity.
+    four: Slopes<S>,
+    four_right: [S::f32s; 4],
+    others: [Slope; MOST - 1],
+    phantom: bool,
 }
 
-impl<'a> Source<'a> {
-    fn of_instance(view: &View<'a>, instance: &Instance) -> Self {
-        let mesh = &view.shot.scene.models[instance.placed.model].mesh;
-        let (first, vertices) = (instance.first_vertex, view.vertices);
-        Self {
-            places: &vertices.places[first..],
-            normals: vertices.normals.get(first..).unwrap_or_default(),
-            uv: &mesh.texcoords,
-            colors: &mesh.colors,
+impl<S: Simd> Ink<S> {
+    #[inline(always)]
+    fn new<const MODE: u8>(
+        simd: S,
+        tile: &Tile<'_>,
+        triangle: &Triangle<'_>,
+        setup: &Setup,
+        k: usize,
+    ) -> Self {
+        let zero = S::f32s::simd_from(simd, 0.0);
+        let mut ink = Self {
+            light_right: S::f32s::simd_from(simd, setup.light.one(k).right as f32),
+            four: Slopes::zero(simd),
+            four_right: [zero, zero, zero, zero],
+            others: [Slope::default(); MOST - 1],
+            phantom: false,
+        };
+        if MODE == PLAIN {
+            return ink;
         }
+        let [l1, l2] = &setup.weights;
+        let weights = Weights([l1.all(simd, k), l2.all(simd, k)]);
+        if MODE == BOTH {
+            ink.four = triangle.four(simd, &weights);
+            let right = narrow(simd, ink.four.right);
+            for i in 0..4 {
+                ink.four_right[i] = S::f32s::simd_from(simd, right[i]);
+            }
+        } else {
+            ink.others = triangle.others(simd, tile.view, &weights);
+            let placed = &tile.view.instances[triangle.chunk.instance].placed;
+            ink.phantom = tile.view.shot.scene.models[placed.model].phantom;
+        }
+        ink
     }
 
-    fn of_chunk(chunk: &'a Chunk) -> Self {
-        let own = &chunk.own;
-        let (uv, colors) = (&chunk.own_uv, &chunk.own_colors);
-        Self { places: &own.places, normals: &own.normals, uv, colors }
-    }
-}
-
-/// A triangle to draw.
-struct Triangle<'a> {
-    pen: &'a Pen<'a>,
-    record: &'a Record,
-    index: [usize; 3],
-    places: [&'a Vertex; 3],
-}
-
-impl<'a> Triangle<'a> {
-    /// `corners` are the record's without their marks.
+    /// Draws a run of the triangle; `light` is that of the row's first pixel.
     #[inline(always)]
-    fn new(pen: &'a Pen<'a>, record: &'a Record, corners: [u32; 3]) -> Option<Self> {
-        let index = [corners[0] as usize, corners[1] as usize, corners[2] as usize];
-        let places = pen.source.places;
-        let places = [places.get(index[0])?, places.get(index[1])?, places.get(index[2])?];
-        Some(Self { pen, record, index, places })
-    }
-
-    #[inline(always)]
-    fn spots(&self) -> [Spot; 3] {
-        [self.places[0].spot, self.places[1].spot, self.places[2].spot]
+    fn draw<const MODE: u8>(
+        &self,
+        simd: S,
+        run: &Run<S>,
+        light: f32,
+        record: &Record,
+        channels: Channels,
+        pixels: &mut Pixels<'_>,
+    ) {
+        let light = Line { start: light, right: self.light_right };
+        if MODE == PLAIN {
+            run.draw_plain(simd, light, pixels);
+        } else if MODE == BOTH {
+            run.draw_both(simd, &self.four, &self.four_right, record.face, channels, pixels);
+        } else if self.phantom {
+            run.hide(simd, pixels);
+        } else {
+            let others = &self.others[..channels.count() - usize::from(channels.light)];
+            run.draw(simd, record.surface, channels, light, others, pixels);
+        }
     }
 }
 
 /// Lane numbers; no vector has more.
 const LANES: [i32; STRIDE - TILE] = [0, 1, 2, 3, 4, 5, 6, 7];
 
-/// Draws a triangle's pixels in the area; `false`, and nothing is drawn, where it is too wide for how steep it is.
-/// `wide` stands for `edges` where they do not fit.
+/// The bits of a little box's rows, a lane each; lanes outside have bits that never are.
+const COVER: [[i32; STRIDE - TILE]; LITTLE as usize] = {
+    let mut bits = [[1 << 30; STRIDE - TILE]; LITTLE as usize];
+    let mut k = 0;
+    while k < 16 {
+        bits[k / 4][k % 4] = 1 << k;
+        k += 1;
+    }
+    bits
+};
+
+/// Draws a triangle whose covered pixels are known.
+#[inline(always)]
+fn draw_little<S: Simd, const MODE: u8>(
+    simd: S,
+    tile: &Tile<'_>,
+    triangle: &Triangle<'_>,
+    setup: &Setup,
+    k: usize,
+    area: &Area,
+    pixels: &mut Pixels<'_>,
+) {
+    let cover = i32::from(triangle.record.cover);
+    let covers = S::i32s::simd_from(simd, cover);
+    let xs: S::f32s = S::i32s::from_slice(simd, &LANES[..S::i32s::LEN]).to_float();
+    let right = S::f32s::simd_from(simd, setup.w.one(k).right as f32);
+    let ink = Ink::new::<MODE>(simd, tile, triangle, setup, k);
+    let mut at = (area.top - tile.bounds[1]) as usize * STRIDE + (area.first - tile.bounds[0]) as usize;
+    for (y, bits) in COVER.iter().enumerate() {
+        if cover >> (LITTLE * y as i32) == 0 {
+            break;
+        }
+        let bits = S::i32s::from_slice(simd, &bits[..S::i32s::LEN]);
+        let inside = (covers & bits).simd_eq(bits);
+        let here = S::f32s::simd_from(simd, setup.w_rows[y][k % 4]) + xs * right;
+        let run = Run { at, inside, here, xs, y: y as i32 };
+        let light = setup.light_rows[y][k % 4];
+        ink.draw::<MODE>(simd, &run, light, triangle.record, tile.view.channels, pixels);
+        at += STRIDE;
+    }
+}
+
+/// Draws a triangle's pixels in the area. `wide` stands for `edges` where they do not fit.
 #[inline(always)]
 fn draw_area<S: Simd, const MODE: u8>(
     simd: S,
+    tile: &Tile<'_>,
     triangle: &Triangle<'_>,
+    setup: &Setup,
+    k: usize,
     area: &Area,
     edges: &Edges<i32>,
     wide: Option<&Edges<i64>>,
-    slot: &mut Slot,
-) -> bool {
+    pixels: &mut Pixels<'_>,
+) {
     let splat = |v: f32| S::f32s::simd_from(simd, v);
     let whole = |v: i32| S::i32s::simd_from(simd, v);
     let length = S::f32s::LEN as i32;
@@ -198,48 +470,16 @@ fn draw_area<S: Simd, const MODE: u8>(
     let mut e2 = whole(edges.start[2]) + lanes * r2;
     let width = area.last - area.first;
     let mut y = area.top;
-    if width < length && wide.is_none() {
-        // nothing is set up for what covers no pixel center
-        while (e0 | e1 | e2).simd_ge(whole(0)).all_false() {
-            if y == area.bottom {
-                return true;
-            }
-            y += 1;
-            (e0, e1, e2) = (e0 + d0, e1 + d1, e2 + d2);
-        }
-    }
 
-    let [a, b, c] = triangle.places;
-    let weights = Weights::new(area, triangle.places);
-    let w = weights.slope(a.w, b.w, c.w);
-    let steepness = weights.steepness();
-    if width >= STRIP {
-        let width = f64::from(width);
-        let least = a.w.min(b.w).min(c.w);
-        if w.right.abs() * width > STEEP_DEPTH * least || steepness.0 * width > STEEP_WEIGHTS {
-            return false;
-        }
-    }
-    let pen = triangle.pen;
-    let lit = MODE == PLAIN || (MODE == ANY && pen.channels.light);
-    let light = if lit { triangle.light(&weights) } else { Slope::default() };
-    let four = if MODE == BOTH { triangle.four(simd, &weights) } else { [f64x4::splat(simd, 0.0); 3] };
-    let right = narrow(simd, four[1]);
-    let four_right = [splat(right[0]), splat(right[1]), splat(right[2]), splat(right[3])];
-    let others;
-    let others = if MODE == ANY && pen.channels.count() > 1 {
-        others = triangle.others(&weights);
-        &others[..pen.channels.count() - usize::from(pen.channels.light)]
-    } else {
-        &[]
-    };
-    let sliver = steepness.0 + steepness.1 > SLIVER;
+    let (w, light) = (setup.w.one(k), setup.light.one(k));
+    let sliver = setup.slivers >> k & 1 == 1;
+    let ink = Ink::new::<MODE>(simd, tile, triangle, setup, k);
     let first_xs: S::f32s = lanes.to_float();
-    let (w_right, light_right) = (splat(w.right as f32), splat(light.right as f32));
+    let w_right = splat(w.right as f32);
     // where the left edges only move to the right, what is left of the last row's first pixel stays outside
     let leftmost = (0..3).all(|k| edges.right[k] <= 0 || edges.down[k] <= 0);
     let mut start = (0, first_xs);
-    let mut at = (y - pen.origin[1]) as usize * STRIDE + (area.first - pen.origin[0]) as usize;
+    let mut at = (y - tile.bounds[1]) as usize * STRIDE + (area.first - tile.bounds[0]) as usize;
     loop {
         // from the top each time: where rows begin to be drawn differs with the length of vectors
         let dy = f64::from(y - area.top);
@@ -262,17 +502,8 @@ fn draw_area<S: Simd, const MODE: u8>(
                 if sliver {
                     here = triangle.kept_near(simd, here);
                 }
-                let light = Line { start: light.at(dy), right: light_right };
                 let run = Run { at: at + x as usize, inside, here, xs, y: y - area.top };
-                if MODE == PLAIN {
-                    run.draw_plain(simd, light, slot);
-                } else if MODE == BOTH {
-                    run.draw_both(simd, &four, &four_right, triangle.record.face, pen.channels, slot);
-                } else if pen.phantom {
-                    run.hide(simd, slot);
-                } else {
-                    run.draw(simd, triangle.record.surface, pen.channels, light, others, slot);
-                }
+                ink.draw::<MODE>(simd, &run, light.at(dy), triangle.record, tile.view.channels, pixels);
             } else if entered {
                 break;
             }
@@ -284,75 +515,10 @@ fn draw_area<S: Simd, const MODE: u8>(
             (f0, f1, f2) = (f0 + r0 * length, f1 + r1 * length, f2 + r2 * length);
         }
         if y == area.bottom {
-            return true;
+            return;
         }
         y += 1;
         at += STRIDE;
         (e0, e1, e2) = (e0 + d0, e1 + d1, e2 + d2);
-    }
-}
-
-impl Triangle<'_> {
-    /// Intensity over z; of flat faces intensity itself.
-    #[inline(always)]
-    fn light(&self, weights: &Weights) -> Slope {
-        if self.record.face >= 0.0 {
-            return Slope { origin: f64::from(self.record.face), right: 0.0, down: 0.0 };
-        }
-        let [a, b, c] = self.places;
-        weights.slope(
-            f64::from(a.intensity) * a.w,
-            f64::from(b.intensity) * b.w,
-            f64::from(c.intensity) * c.w,
-        )
-    }
-
-    /// The slopes of normal and intensity.
-    #[inline(always)]
-    fn four<S: Simd>(&self, simd: S, weights: &Weights) -> [f64x4<S>; 3] {
-        let of = |i: usize| self.pen.source.normals.get(i).copied().unwrap_or_default();
-        let ([i, j, k], [a, b, c]) = (self.index, self.places);
-        weights.slopes_over_z(simd, [of(i), of(j), of(k)], [a.w, b.w, c.w])
-    }
-
-    /// The slopes of all other attributes, in the order of the channels.
-    #[inline(never)]
-    fn others(&self, weights: &Weights) -> [Slope; MOST - 1] {
-        let mut slopes = [Slope::default(); MOST - 1];
-        let Pen { channels, source, .. } = self.pen;
-        let ([i, j, k], [a, b, c]) = (self.index, self.places);
-        let mut next = 0;
-        let mut push = |p: &[f32], q: &[f32], r: &[f32]| {
-            for ((p, q), r) in p.iter().zip(q).zip(r) {
-                slopes[next] = weights.slope(f64::from(*p) * a.w, f64::from(*q) * b.w, f64::from(*r) * c.w);
-                next += 1;
-            }
-        };
-        if channels.normals {
-            let of = |i: usize| source.normals.get(i).copied().unwrap_or_default();
-            push(&of(i)[..3], &of(j)[..3], &of(k)[..3]);
-        }
-        if channels.uv {
-            let of = |i: usize| source.uv.get(i).copied().unwrap_or_default().to_array();
-            push(&of(i), &of(j), &of(k));
-        }
-        if channels.colors {
-            let of = |i: usize| source.colors.get(i).copied().unwrap_or(Vec3::ONE).to_array();
-            push(&of(i), &of(j), &of(k));
-        }
-        slopes
-    }
-
-    /// Snapping moves a covered center at most .003 px out of the triangle; slivers must not turn that into any depth
-    /// at all.
-    #[inline(always)]
-    fn kept_near<S: Simd>(&self, simd: S, here: S::f32s) -> S::f32s {
-        let [a, b, c] = self.places;
-        let (least, most) = (a.w.min(b.w).min(c.w), a.w.max(b.w).max(c.w));
-        let reach = (most - least) * 0.5;
-        let low = S::f32s::simd_from(simd, (least - reach).max(least * 0.5) as f32);
-        let high = S::f32s::simd_from(simd, (most + reach) as f32);
-        let here = here.simd_lt(low).select(low, here);
-        high.simd_lt(here).select(high, here)
     }
 }
