@@ -36,7 +36,7 @@ pub(super) struct Record {
     pub surface: u32,
     /// Intensity of a flat face; below 0 where intensity is interpolated.
     pub face: f32,
-    /// Pixels whose centers it may cover: x0, y0, x1, y1, all inclusive; within the tile unless large.
+    /// Pixels whose centers it may cover: x0, y0, x1, y1, all inclusive; within the tile unless it is over many.
     pub bounds: [i16; 4],
     /// The centers it covers of the four by four from x0, y0 on, row by row; 0 where they are not known.
     pub cover: u16,
@@ -73,8 +73,9 @@ struct Sorting<'a> {
     spots: &'a [Spot],
     shape: Option<&'a Shape>,
     frustum: Frustum,
-    /// The surface of all triangles, where there is but one and faces are not flat.
-    plain: Option<u32>,
+    /// The instance's first surface, and whether all triangles have it and no face is flat.
+    surface: u32,
+    plain: bool,
     /// Turns face normals, where faces are flat.
     flat: Option<DMat3>,
     rules: Rules,
@@ -93,7 +94,8 @@ impl<'a> Sorting<'a> {
             spots,
             shape: view.shapes.of(instance.placed.model),
             frustum: instance.frustum,
-            plain: (!flat && model.mesh.materials.is_empty()).then_some(instance.first_surface as u32),
+            surface: instance.first_surface as u32,
+            plain: !flat && model.mesh.materials.is_empty(),
             flat: flat.then(|| normal_matrix(&instance.placed.to_camera)),
             rules: Rules {
                 size: view.shot.camera.lens.size,
@@ -110,22 +112,21 @@ impl<'a> Sorting<'a> {
         self.shape.is_none_or(|shape| shape.cluster_may_show(triangle, &self.frustum, self.rules.cull_back))
     }
 
-    fn surface(&self, triangle: usize) -> u32 {
+    /// The surface, and the intensity of a flat face.
+    #[inline(never)]
+    fn kind(&self, triangle: usize, corners: [u32; 3]) -> (u32, f32) {
         let none = self.mesh.materials.len();
         let own = self.mesh.material_of.get(triangle).map_or(0, |&m| usize::from(m).min(none));
-        (self.instance.first_surface + own) as u32
-    }
-
-    fn face(&self, corners: [u32; 3]) -> f32 {
-        let Some(normals) = self.flat else { return -1.0 };
+        let surface = self.surface + own as u32;
+        let Some(normals) = self.flat else { return (surface, -1.0) };
         let at = |c: u32| self.mesh.positions.get(c as usize).copied().unwrap_or_default().as_dvec3();
         let [a, b, c] = corners.map(at);
-        unit(normals * (b - a).cross(c - a)).dot(self.view.shot.scene.light.direction.as_dvec3()).max(0.0)
-            as f32
+        let light = self.view.shot.scene.light.direction.as_dvec3();
+        (surface, unit(normals * (b - a).cross(c - a)).dot(light).max(0.0) as f32)
     }
 
     fn record(&self, triangle: usize, corners: [u32; 3], bounds: [i16; 4]) -> Record {
-        let (surface, face) = (self.surface(triangle), self.face(corners));
+        let (surface, face) = self.kind(triangle, corners);
         Record { corners, surface, face, bounds, ..Record::NONE }
     }
 }
@@ -186,14 +187,13 @@ impl Chunk {
 
     /// The records that may touch the tile, in submission order.
     pub fn records_of(&self, tile: usize) -> impl Iterator<Item = &Record> {
-        let mut listed = self.heads[tile];
-        let mut wide = self.wide.iter().copied().peekable();
+        let (mut listed, mut wide) = (self.heads[tile], self.wide.as_slice());
         std::iter::from_fn(move || {
-            if let Some(&index) = wide.peek()
-                && index < listed
+            if let [first, rest @ ..] = wide
+                && *first < listed
             {
-                wide.next();
-                return self.records.get(index as usize);
+                wide = rest;
+                return self.records.get(*first as usize);
             }
             let record = self.records.get(listed as usize)?;
             listed = record.next;
@@ -242,13 +242,14 @@ impl Chunk {
                 let corners = if front { [a, c, b] } else { [a, b, c] };
                 let bounds = [sorted.lows[k], sorted.lows[k] >> 16, sorted.highs[k], sorted.highs[k] >> 16];
                 let bounds = bounds.map(|v| v as i16);
-                let cover = sorted.covers[k] as u16;
-                let record = match sorting.plain {
-                    Some(surface) => Record { corners, surface, bounds, cover, ..Record::NONE },
-                    None => Record { corners, cover, ..sorting.record(first + k, [a, b, c], bounds) },
-                };
+                let (mut surface, mut face) = (sorting.surface, -1.0);
+                if !sorting.plain {
+                    (surface, face) = sorting.kind(first + k, [a, b, c]);
+                }
+                let record =
+                    Record { corners, surface, face, bounds, cover: sorted.covers[k] as u16, next: NONE };
                 match sorted.tiles[k] {
-                    SEVERAL => self.list(record),
+                    SEVERAL => self.list(&record),
                     tile => self.append(record, tile as usize),
                 }
             }
@@ -281,7 +282,7 @@ impl Chunk {
                 let mut record = sorting.record(triangle, corners, bounds);
                 record.corners = wound.map(|k| corners[k]);
                 record.corners[1] |= LARGE;
-                self.list(record);
+                self.list(&record);
             }
         } else {
             self.cut(sorting, triangle, corners);
@@ -319,25 +320,17 @@ impl Chunk {
             record.corners = wound.map(|k| first + k as u32);
             record.corners[0] |= OWN;
             record.corners[1] |= LARGE;
-            self.list(record);
+            self.list(&record);
         });
     }
 
-    /// Adds a record under each of its tiles.
-    #[inline(always)]
-    fn list(&mut self, record: Record) {
-        let [x0, y0, x1, y1] = record.bounds.map(|v| v as usize / TILE);
-        if x0 == x1 && y0 == y1 {
-            return self.append(record, y0 * self.columns + x0);
-        }
-        self.list_more(record, [x0, y0, x1, y1]);
-    }
-
+    /// Adds what of a record is in them to its tiles.
     #[inline(never)]
-    fn list_more(&mut self, record: Record, [x0, y0, x1, y1]: [usize; 4]) {
+    fn list(&mut self, record: &Record) {
+        let [x0, y0, x1, y1] = record.bounds.map(|v| v as usize / TILE);
         if x1 - x0 >= MAX_LISTED || y1 - y0 >= MAX_LISTED {
             self.wide.push(self.records.len() as u32);
-            self.records.push(record);
+            self.records.push(*record);
             let [a, b, c, d] = self.wide_tiles.unwrap_or([x0, y0, x1, y1]);
             self.wide_tiles = Some([a.min(x0), b.min(y0), c.max(x1), d.max(y1)]);
             return;

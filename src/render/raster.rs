@@ -60,34 +60,42 @@ struct Tile<'a> {
 struct Triangle<'a> {
     record: &'a Record,
     chunk: &'a Chunk,
-    /// Its corners among all: the frame's vertices from `first` on, or the chunk's own.
-    vertices: &'a Vertices,
-    first: usize,
     places: [&'a Vertex; 3],
 }
 
 impl<'a> Triangle<'a> {
+    /// `places` are those that the record's corners count.
     #[inline(always)]
-    fn new(view: &View<'a>, chunk: &'a Chunk, record: &'a Record) -> Option<Self> {
-        let own = record.corners[0] & OWN != 0;
-        let first = if own { 0 } else { view.instances[chunk.instance].first_vertex };
-        let vertices = if own { &chunk.own } else { view.vertices };
-        let places = vertices.places.get(first..)?;
+    fn new(chunk: &'a Chunk, record: &'a Record, places: &'a [Vertex]) -> Option<Self> {
         let [a, b, c] = index(record);
-        Some(Self { record, chunk, vertices, first, places: [places.get(a)?, places.get(b)?, places.get(c)?] })
+        Some(Self { record, chunk, places: [places.get(a)?, places.get(b)?, places.get(c)?] })
+    }
+
+    /// What its corners count: the frame's vertices from a first one on, or the chunk's own.
+    #[inline(always)]
+    fn vertices<'b>(&self, view: &'b View<'_>) -> (&'b Vertices, usize)
+    where
+        'a: 'b,
+    {
+        match self.record.corners[0] & OWN {
+            0 => (view.vertices, view.instances[self.chunk.instance].first_vertex),
+            _ => (&self.chunk.own, 0),
+        }
     }
 
     #[inline(always)]
-    fn spots(&self) -> [Spot; 3] {
-        let of = |i: usize| self.vertices.spots.get(self.first + i).copied().unwrap_or_default();
+    fn spots(&self, view: &View<'_>) -> [Spot; 3] {
+        let (vertices, first) = self.vertices(view);
+        let of = |i: usize| vertices.spots.get(first + i).copied().unwrap_or_default();
         let [a, b, c] = index(self.record);
         [of(a), of(b), of(c)]
     }
 
     /// The slopes of normal and intensity.
     #[inline(always)]
-    fn four<S: Simd>(&self, simd: S, weights: &Weights<S>) -> Slopes<S> {
-        let of = |i: usize| self.vertices.normals.get(self.first + i).copied().unwrap_or_default();
+    fn four<S: Simd>(&self, simd: S, view: &View<'_>, weights: &Weights<S>) -> Slopes<S> {
+        let (vertices, first) = self.vertices(view);
+        let of = |i: usize| vertices.normals.get(first + i).copied().unwrap_or_default();
         let ([i, j, k], [a, b, c]) = (index(self.record), self.places);
         weights.slopes([
             widen(simd, of(i)) * f64x4::splat(simd, a.w),
@@ -110,7 +118,7 @@ impl<'a> Triangle<'a> {
             next += count;
         };
         if view.channels.normals {
-            put(self.four(simd, weights), 3);
+            put(self.four(simd, view, weights), 3);
         }
         let mesh = &view.shot.scene.models[view.instances[self.chunk.instance].placed.model].mesh;
         let own = self.record.corners[0] & OWN != 0;
@@ -161,30 +169,34 @@ fn draw_records<S: Simd, const MODE: u8>(simd: S, view: &View<'_>, chunks: &[Chu
     let pen = Tile { view, bounds: [rect.x0, rect.y0, rect.x1 - 1, rect.y1 - 1].map(|v| v as i32) };
     let pixels = &mut Pixels::of(slot, view.channels);
     let (nobody, nowhere) = (Chunk::default(), Vertex::default());
-    let places = [&nowhere; 3];
-    let blank = Triangle { record: &Record::NONE, chunk: &nobody, vertices: view.vertices, first: 0, places };
+    let blank = Triangle { record: &Record::NONE, chunk: &nobody, places: [&nowhere; 3] };
     let (mut four, mut count) = ([blank; 4], 0);
     for chunk in chunks {
         if !chunk.holds(tile) {
             continue;
         }
+        let places = &view.vertices.places[view.instances[chunk.instance].first_vertex..];
         for record in chunk.records_of(tile) {
-            let Some(triangle) = Triangle::new(view, chunk, record) else { continue };
             if (record.corners[0] | record.corners[1]) & (OWN | LARGE) != 0 {
-                draw_four::<S, MODE>(simd, &pen, &four[..count], &four, pixels);
+                draw_four::<S, MODE>(simd, &pen, count, &four, pixels);
                 count = 0;
-                draw_large::<S, MODE>(simd, &pen, &triangle, pixels);
+                let places = if record.corners[0] & OWN == 0 { places } else { &chunk.own.places };
+                if let Some(triangle) = Triangle::new(chunk, record, places) {
+                    draw_large::<S, MODE>(simd, &pen, &triangle, pixels);
+                }
                 continue;
             }
-            four[count] = triangle;
+            let Some(triangle) = Triangle::new(chunk, record, places) else { continue };
+            let waiting = &mut four[count % 4];
+            (waiting.record, waiting.chunk, waiting.places) = (triangle.record, chunk, triangle.places);
             count += 1;
             if count == four.len() {
-                draw_four::<S, MODE>(simd, &pen, &four, &four, pixels);
+                draw_four::<S, MODE>(simd, &pen, count, &four, pixels);
                 count = 0;
             }
         }
     }
-    draw_four::<S, MODE>(simd, &pen, &four[..count], &four, pixels);
+    draw_four::<S, MODE>(simd, &pen, count, &four, pixels);
 }
 
 /// Four triangles, each over its area.
@@ -192,6 +204,9 @@ struct Setup {
     weights: [SlopesApart; 2],
     w: SlopesApart,
     light: SlopesApart,
+    /// Their steps to the right, rounded.
+    w_right: [f32; 4],
+    light_right: [f32; 4],
     /// 1/z and light at the first pixel of the first rows.
     w_rows: [[f32; 4]; LITTLE as usize],
     light_rows: [[f32; 4]; LITTLE as usize],
@@ -229,6 +244,9 @@ impl Setup {
                 light.at(simd, y as f64).store_slice(light_row);
             }
         }
+        let (mut w_right, mut light_right) = ([0.0; 4], [0.0; 4]);
+        narrow(simd, w.right).store_slice(&mut w_right);
+        narrow(simd, light.right).store_slice(&mut light_right);
         let (across, along) = weights.steepness();
         let (width, least) = (last - left, a[2].min(b[2]).min(c[2]));
         let steep = (w.right.abs() * width).simd_gt(of(STEEP_DEPTH) * least)
@@ -238,6 +256,8 @@ impl Setup {
             weights: [weights.0[0].apart(), weights.0[1].apart()],
             w: w.apart(),
             light: light.apart(),
+            w_right,
+            light_right,
             w_rows,
             light_rows,
             steep: steep.to_bitmask(),
@@ -264,29 +284,38 @@ fn whole_area(record: &Record) -> Area {
     Area { first: x0.into(), top: y0.into(), last: x1.into(), bottom: y1.into() }
 }
 
-/// Draws small triangles, at most four, one after the other; `lanes` begins with them.
+/// Draws the first `count` of four small triangles, one after the other.
 #[inline(always)]
 fn draw_four<S: Simd, const MODE: u8>(
     simd: S,
     tile: &Tile<'_>,
-    triangles: &[Triangle<'_>],
-    lanes: &[Triangle<'_>; 4],
+    count: usize,
+    four: &[Triangle<'_>; 4],
     pixels: &mut Pixels<'_>,
 ) {
-    if triangles.is_empty() {
-        return;
+    if count > 0 {
+        draw_some::<S, MODE>(simd, tile, count, four, pixels);
     }
-    let [p, q, r, s] = lanes;
-    let areas =
-        [whole_area(p.record), whole_area(q.record), whole_area(r.record), whole_area(s.record)];
-    let setup = Setup::new::<S, MODE>(simd, lanes, &areas);
-    for (k, (triangle, area)) in triangles.iter().zip(&areas).enumerate() {
+}
+
+#[inline(always)]
+fn draw_some<S: Simd, const MODE: u8>(
+    simd: S,
+    tile: &Tile<'_>,
+    count: usize,
+    four: &[Triangle<'_>; 4],
+    pixels: &mut Pixels<'_>,
+) {
+    let [p, q, r, s] = four;
+    let areas = [whole_area(p.record), whole_area(q.record), whole_area(r.record), whole_area(s.record)];
+    let setup = Setup::new::<S, MODE>(simd, four, &areas);
+    for (k, (triangle, area)) in four.iter().zip(&areas).enumerate().take(count) {
         if setup.steep >> k & 1 == 1 {
             draw_large::<S, MODE>(simd, tile, triangle, pixels);
         } else if triangle.record.cover != 0 && setup.slivers >> k & 1 == 0 {
             draw_little::<S, MODE>(simd, tile, triangle, &setup, k, area, pixels);
         } else {
-            let edges = Edges::small(simd, area, triangle.spots());
+            let edges = Edges::small(simd, area, triangle.spots(tile.view));
             draw_area::<S, MODE>(simd, tile, triangle, &setup, k, area, &edges, None, pixels);
         }
     }
@@ -306,7 +335,7 @@ fn draw_large<S: Simd, const MODE: u8>(
         return;
     }
     let mut draw = |area: &Area| {
-        let Some(exact) = Edges::new(area, triangle.spots()) else { return true };
+        let Some(exact) = Edges::new(area, triangle.spots(tile.view)) else { return true };
         let (edges, wide) = match exact.narrow(area) {
             Some(edges) => (edges, None),
             None => (Edges::default(), Some(&exact)),
@@ -351,7 +380,7 @@ impl<S: Simd> Ink<S> {
     ) -> Self {
         let zero = S::f32s::simd_from(simd, 0.0);
         let mut ink = Self {
-            light_right: S::f32s::simd_from(simd, setup.light.one(k).right as f32),
+            light_right: S::f32s::simd_from(simd, setup.light_right[k % 4]),
             four: Slopes::zero(simd),
             four_right: [zero, zero, zero, zero],
             others: [Slope::default(); MOST - 1],
@@ -363,7 +392,7 @@ impl<S: Simd> Ink<S> {
         let [l1, l2] = &setup.weights;
         let weights = Weights([l1.all(simd, k), l2.all(simd, k)]);
         if MODE == BOTH {
-            ink.four = triangle.four(simd, &weights);
+            ink.four = triangle.four(simd, tile.view, &weights);
             let right = narrow(simd, ink.four.right);
             for i in 0..4 {
                 ink.four_right[i] = S::f32s::simd_from(simd, right[i]);
@@ -429,7 +458,7 @@ fn draw_little<S: Simd, const MODE: u8>(
     let cover = i32::from(triangle.record.cover);
     let covers = S::i32s::simd_from(simd, cover);
     let xs: S::f32s = S::i32s::from_slice(simd, &LANES[..S::i32s::LEN]).to_float();
-    let right = S::f32s::simd_from(simd, setup.w.one(k).right as f32);
+    let right = S::f32s::simd_from(simd, setup.w_right[k % 4]);
     let ink = Ink::new::<MODE>(simd, tile, triangle, setup, k);
     let mut at = (area.top - tile.bounds[1]) as usize * STRIDE + (area.first - tile.bounds[0]) as usize;
     for (y, bits) in COVER.iter().enumerate() {
@@ -475,7 +504,7 @@ fn draw_area<S: Simd, const MODE: u8>(
     let sliver = setup.slivers >> k & 1 == 1;
     let ink = Ink::new::<MODE>(simd, tile, triangle, setup, k);
     let first_xs: S::f32s = lanes.to_float();
-    let w_right = splat(w.right as f32);
+    let w_right = splat(setup.w_right[k % 4]);
     // where the left edges only move to the right, what is left of the last row's first pixel stays outside
     let leftmost = (0..3).all(|k| edges.right[k] <= 0 || edges.down[k] <= 0);
     let mut start = (0, first_xs);

@@ -72,14 +72,15 @@ impl<S: Simd> Run<S> {
         self.store(wins.select(value, self.load(simd, plane)), plane);
     }
 
-    /// Where there is light and nothing else.
+    /// Where there is light and nothing else. Both planes are read before one is written: of a plane that is read,
+    /// selected from and written compilers make a masked store, which is slow where the next triangle reads it.
     #[inline(always)]
     pub fn draw_plain(&self, simd: S, light: Line<S::f32s>, pixels: &mut Pixels<'_>) {
-        let before = self.load(simd, pixels.w);
+        let (before, old) = (self.load(simd, pixels.w), self.load(simd, pixels.light));
         let wins = self.inside & self.here.simd_gt(before);
-        self.store(wins.select(self.here, before), pixels.w);
         let new = S::f32s::simd_from(simd, light.start) + self.xs * light.right;
-        self.keep(simd, wins, new, pixels.light);
+        self.store(wins.select(self.here, before), pixels.w);
+        self.store(wins.select(new, old), pixels.light);
     }
 
     /// Where there are both layers and no more than light beside.

@@ -86,23 +86,14 @@ impl Sorted {
             // wound clockwise
             let (p, q) = (pick(front, c, b), pick(front, b, c));
             let corner = (left << 8, top << 8);
-            let (mut e0, r0, d0) = edge(simd, corner, a, p);
-            let (mut e1, r1, d1) = edge(simd, corner, p, q);
-            let (mut e2, r2, d2) = edge(simd, corner, q, a);
-            let (r0, r1, r2) = (r0 << 8, r1 << 8, r2 << 8);
-            let (d0, d1, d2) = (d0 << 8, d1 << 8, d2 << 8);
+            let (e0, r0, d0) = edge(simd, corner, a, p);
+            let (e1, r1, d1) = edge(simd, corner, p, q);
+            let (e2, r2, d2) = edge(simd, corner, q, a);
+            let edges = ([e0, e1, e2], [r0 << 8, r1 << 8, r2 << 8], [d0 << 8, d1 << 8, d2 << 8]);
             // most batches have no more than two a side
             let more = little & (wide | high).simd_gt(of(1));
-            let side = if more.any_true() { LITTLE } else { 2 };
-            let mut outside = of(0);
-            for row in 0..side {
-                let (mut f0, mut f1, mut f2) = (e0, e1, e2);
-                for column in 0..side {
-                    outside |= ((f0 | f1 | f2) >> 31) & of(1 << (LITTLE * row + column));
-                    (f0, f1, f2) = (f0 + r0, f1 + r1, f2 + r2);
-                }
-                (e0, e1, e2) = (e0 + d0, e1 + d1, e2 + d2);
-            }
+            let outside =
+                if more.any_true() { outside::<S, LITTLE>(simd, edges) } else { outside::<S, 2>(simd, edges) };
             let columns = pick_side(simd, wide, [0x1111, 0x3333, 0x7777, 0xffff]);
             let rows = pick_side(simd, high, [0xf, 0xff, 0xfff, 0xffff]);
             covers = little.select(columns & rows & !outside, of(0));
@@ -136,6 +127,29 @@ fn apart<S: Simd>(simd: S, spots: &[Spot; BATCH]) -> Side<S> {
 #[inline(always)]
 fn pick<S: Simd>(mask: mask32x8<S>, yes: Side<S>, no: Side<S>) -> Side<S> {
     (mask.select(yes.0, no.0), mask.select(yes.1, no.1))
+}
+
+/// The pixel centers of a box of so many a side that are outside of any of the edges, a bit each, four a row.
+#[inline(always)]
+fn outside<S: Simd, const SIDE: i32>(
+    simd: S,
+    ([e0, e1, e2], [r0, r1, r2], [d0, d1, d2]): ([i32x8<S>; 3], [i32x8<S>; 3], [i32x8<S>; 3]),
+) -> i32x8<S> {
+    // from the last center to the first, which takes the lowest bit
+    let last = i32x8::splat(simd, SIDE - 1);
+    let (mut e0, mut e1, mut e2) = (e0 + (r0 + d0) * last, e1 + (r1 + d1) * last, e2 + (r2 + d2) * last);
+    let mut outside = i32x8::splat(simd, 0);
+    for _ in 0..SIDE {
+        outside = outside << (LITTLE - SIDE) as u32;
+        let (mut f0, mut f1, mut f2) = (e0, e1, e2);
+        for _ in 0..SIDE {
+            // 0 or -1
+            outside = outside + outside - ((f0 | f1 | f2) >> 31);
+            (f0, f1, f2) = (f0 - r0, f1 - r1, f2 - r2);
+        }
+        (e0, e1, e2) = (e0 - d0, e1 - d1, e2 - d2);
+    }
+    outside
 }
 
 /// The entry that `last`, 0 to 3, names.

@@ -195,7 +195,9 @@ fn place_run<S: Simd>(
         // the sum's last 32 bits are the whole number
         let magic = f64x4::splat(simd, 6_755_399_441_055_744.0);
         let half = f64x4::splat(simd, 0.5);
-        let (sx, sy) = ((px * SUBPIXELS + half).floor() + magic, (py * SUBPIXELS + half).floor() + magic);
+        let none = f64x4::splat(simd, f64::from(NO_SPOT[0]));
+        let sx = whole.select((px * SUBPIXELS + half).floor(), none) + magic;
+        let sy = whole.select((py * SUBPIXELS + half).floor(), none) + magic;
         let seen = whole.to_bitmask();
         let counted = points.len();
         if counted == BATCH && seen == 15 {
@@ -224,15 +226,29 @@ fn place_run<S: Simd>(
                 }
             }
         }
-        let (x, y, w, lights) = (px.to_array(), py.to_array(), w.to_array(), intensity.to_array());
+        // a row a vertex
+        let (xw, yi) = (px.interleave(w), py.interleave(intensity));
+        let ((a, b), (c, d)) = (xw.0.interleave(yi.0), xw.1.interleave(yi.1));
+        let rows = [a.to_array(), b.to_array(), c.to_array(), d.to_array()];
         let (sx, sy) = (sx.to_array(), sy.to_array());
-        for (k, (spot, place)) in spots[at..].iter_mut().zip(&mut places[at..]).take(BATCH).enumerate() {
-            let snapped = [sx[k].to_bits() as i32, sy[k].to_bits() as i32];
-            *spot = if seen >> k & 1 == 1 { snapped } else { NO_SPOT };
-            *place = Vertex { x: x[k], y: y[k], w: w[k], intensity: lights[k] };
+        match (spots[at..].first_chunk_mut::<BATCH>(), places[at..].first_chunk_mut::<BATCH>()) {
+            (Some(spots), Some(places)) => {
+                for k in 0..BATCH {
+                    spots[k] = [sx[k].to_bits() as i32, sy[k].to_bits() as i32];
+                    let [x, y, w, intensity] = rows[k];
+                    places[k] = Vertex { x, y, w, intensity };
+                }
+            }
+            _ => {
+                for (k, (spot, place)) in spots[at..].iter_mut().zip(&mut places[at..]).enumerate() {
+                    *spot = [sx[k].to_bits() as i32, sy[k].to_bits() as i32];
+                    let [x, y, w, intensity] = rows[k];
+                    *place = Vertex { x, y, w, intensity };
+                }
+            }
         }
         if counted < BATCH || seen != 15 {
-            for &w in &w[..counted] {
+            for &w in &w.to_array()[..counted] {
                 cut |= w == 0.0;
                 if w > 0.0 {
                     (least[0], most[0]) = (least[0].min(w), most[0].max(w));
