@@ -33,19 +33,20 @@ const PLAIN: u8 = 0;
 const BOTH: u8 = 1;
 const ANY: u8 = 2;
 
-/// Draws everything that touches the slot's tile.
-pub(super) fn draw_tile(level: Level, view: &View<'_>, chunks: &[Chunk], slot: &mut Slot) {
+/// Draws everything that touches a tile; whether any pixel inside the picture is covered.
+pub(super) fn draw_tile(level: Level, view: &View<'_>, chunks: &[Chunk], tile: usize, slot: &mut Slot) -> bool {
     slot.clear(view.channels, view.nothing);
     let Channels { light, normals, uv, colors, surfaces, second, phantoms } = view.channels;
+    let pixels = &mut Pixels::of(slot, view.channels);
     match (second, normals || !light, uv || colors || surfaces || phantoms) {
-        (false, false, false) => dispatch!(level, simd => draw_records::<_, PLAIN>(simd, view, chunks, slot)),
-        (true, _, false) => dispatch!(level, simd => draw_records::<_, BOTH>(simd, view, chunks, slot)),
-        _ => dispatch!(level, simd => draw_records::<_, ANY>(simd, view, chunks, slot)),
+        (false, false, false) => draw_records::<PLAIN>(level, view, chunks, tile, pixels),
+        (true, _, false) => draw_records::<BOTH>(level, view, chunks, tile, pixels),
+        _ => draw_records::<ANY>(level, view, chunks, tile, pixels),
     }
-    let rect = view.shot.grid.rect(slot.tile);
+    let rect = view.shot.grid.rect(tile);
     let mut rows = slot.w.chunks_exact(STRIDE).take(rect.y1 - rect.y0);
     let most = |row: &[f32]| row.iter().fold(0, |most, w| w.to_bits().max(most));
-    slot.covered = rows.any(|row| most(&row[..rect.x1 - rect.x0]) > view.nothing.to_bits());
+    rows.any(|row| most(&row[..rect.x1 - rect.x0]) > view.nothing.to_bits())
 }
 
 /// The tile at hand.
@@ -162,41 +163,46 @@ fn index(record: &Record) -> [usize; 3] {
     [(a & !OWN) as usize, (b & !LARGE) as usize, c as usize]
 }
 
-#[inline(always)]
-fn draw_records<S: Simd, const MODE: u8>(simd: S, view: &View<'_>, chunks: &[Chunk], slot: &mut Slot) {
-    let tile = slot.tile;
+fn draw_records<const MODE: u8>(
+    level: Level,
+    view: &View<'_>,
+    chunks: &[Chunk],
+    tile: usize,
+    pixels: &mut Pixels<'_>,
+) {
     let rect = view.shot.grid.rect(tile);
     let pen = Tile { view, bounds: [rect.x0, rect.y0, rect.x1 - 1, rect.y1 - 1].map(|v| v as i32) };
-    let pixels = &mut Pixels::of(slot, view.channels);
     let (nobody, nowhere) = (Chunk::default(), Vertex::default());
     let blank = Triangle { record: &Record::NONE, chunk: &nobody, places: [&nowhere; 3] };
     let (mut four, mut count) = ([blank; 4], 0);
+    let mut draw = |four: &[Triangle<'_>; 4], count| {
+        dispatch!(level, simd => draw_four::<_, MODE>(simd, &pen, four, count, pixels));
+    };
     for chunk in chunks {
         if !chunk.holds(tile) {
             continue;
         }
         let places = &view.vertices.places[view.instances[chunk.instance].first_vertex..];
         for record in chunk.records_of(tile) {
-            if (record.corners[0] | record.corners[1]) & (OWN | LARGE) != 0 {
-                draw_four::<S, MODE>(simd, &pen, count, &four, pixels);
-                count = 0;
-                let places = if record.corners[0] & OWN == 0 { places } else { &chunk.own.places };
-                if let Some(triangle) = Triangle::new(chunk, record, places) {
-                    draw_large::<S, MODE>(simd, &pen, &triangle, pixels);
-                }
-                continue;
-            }
+            let marked = (record.corners[0] | record.corners[1]) & (OWN | LARGE) != 0;
+            let places = if record.corners[0] & OWN == 0 { places } else { &chunk.own.places };
             let Some(triangle) = Triangle::new(chunk, record, places) else { continue };
+            if marked && count > 0 {
+                draw(&four, count);
+                count = 0;
+            }
             let waiting = &mut four[count % 4];
             (waiting.record, waiting.chunk, waiting.places) = (triangle.record, chunk, triangle.places);
             count += 1;
-            if count == four.len() {
-                draw_four::<S, MODE>(simd, &pen, count, &four, pixels);
+            if marked || count == four.len() {
+                draw(&four, count);
                 count = 0;
             }
         }
     }
-    draw_four::<S, MODE>(simd, &pen, count, &four, pixels);
+    if count > 0 {
+        draw(&four, count);
+    }
 }
 
 /// Four triangles, each over its area.
@@ -284,33 +290,21 @@ fn whole_area(record: &Record) -> Area {
     Area { first: x0.into(), top: y0.into(), last: x1.into(), bottom: y1.into() }
 }
 
-/// Draws the first `count` of four small triangles, one after the other.
+/// Draws the first `count` of four small triangles, one after the other; or a single one that is not small.
 #[inline(always)]
 fn draw_four<S: Simd, const MODE: u8>(
     simd: S,
     tile: &Tile<'_>,
-    count: usize,
     four: &[Triangle<'_>; 4],
-    pixels: &mut Pixels<'_>,
-) {
-    if count > 0 {
-        draw_some::<S, MODE>(simd, tile, count, four, pixels);
-    }
-}
-
-#[inline(always)]
-fn draw_some<S: Simd, const MODE: u8>(
-    simd: S,
-    tile: &Tile<'_>,
     count: usize,
-    four: &[Triangle<'_>; 4],
     pixels: &mut Pixels<'_>,
 ) {
     let [p, q, r, s] = four;
     let areas = [whole_area(p.record), whole_area(q.record), whole_area(r.record), whole_area(s.record)];
     let setup = Setup::new::<S, MODE>(simd, four, &areas);
     for (k, (triangle, area)) in four.iter().zip(&areas).enumerate().take(count) {
-        if setup.steep >> k & 1 == 1 {
+        let corners = &triangle.record.corners;
+        if (corners[0] | corners[1]) & (OWN | LARGE) != 0 || setup.steep >> k & 1 == 1 {
             draw_large::<S, MODE>(simd, tile, triangle, pixels);
         } else if triangle.record.cover != 0 && setup.slivers >> k & 1 == 0 {
             draw_little::<S, MODE>(simd, tile, triangle, &setup, k, area, pixels);
@@ -433,16 +427,8 @@ impl<S: Simd> Ink<S> {
 /// Lane numbers; no vector has more.
 const LANES: [i32; STRIDE - TILE] = [0, 1, 2, 3, 4, 5, 6, 7];
 
-/// The bits of a little box's rows, a lane each; lanes outside have bits that never are.
-const COVER: [[i32; STRIDE - TILE]; LITTLE as usize] = {
-    let mut bits = [[1 << 30; STRIDE - TILE]; LITTLE as usize];
-    let mut k = 0;
-    while k < 16 {
-        bits[k / 4][k % 4] = 1 << k;
-        k += 1;
-    }
-    bits
-};
+/// The bits of a little box's first row, a lane each; lanes outside have bits that never are.
+const COVER: [i32; STRIDE - TILE] = [1, 2, 4, 8, 1 << 30, 1 << 30, 1 << 30, 1 << 30];
 
 /// Draws a triangle whose covered pixels are known.
 #[inline(always)]
@@ -455,23 +441,20 @@ fn draw_little<S: Simd, const MODE: u8>(
     area: &Area,
     pixels: &mut Pixels<'_>,
 ) {
-    let cover = i32::from(triangle.record.cover);
-    let covers = S::i32s::simd_from(simd, cover);
+    let mut cover = i32::from(triangle.record.cover);
+    let bits = S::i32s::from_slice(simd, &COVER[..S::i32s::LEN]);
     let xs: S::f32s = S::i32s::from_slice(simd, &LANES[..S::i32s::LEN]).to_float();
     let right = S::f32s::simd_from(simd, setup.w_right[k % 4]);
     let ink = Ink::new::<MODE>(simd, tile, triangle, setup, k);
     let mut at = (area.top - tile.bounds[1]) as usize * STRIDE + (area.first - tile.bounds[0]) as usize;
-    for (y, bits) in COVER.iter().enumerate() {
-        if cover >> (LITTLE * y as i32) == 0 {
-            break;
-        }
-        let bits = S::i32s::from_slice(simd, &bits[..S::i32s::LEN]);
-        let inside = (covers & bits).simd_eq(bits);
-        let here = S::f32s::simd_from(simd, setup.w_rows[y][k % 4]) + xs * right;
+    let mut y = 0;
+    while cover != 0 {
+        let inside = (S::i32s::simd_from(simd, cover) & bits).simd_eq(bits);
+        let here = S::f32s::simd_from(simd, setup.w_rows[y % 4][k % 4]) + xs * right;
         let run = Run { at, inside, here, xs, y: y as i32 };
-        let light = setup.light_rows[y][k % 4];
+        let light = setup.light_rows[y % 4][k % 4];
         ink.draw::<MODE>(simd, &run, light, triangle.record, tile.view.channels, pixels);
-        at += STRIDE;
+        (cover, at, y) = (cover >> LITTLE, at + STRIDE, y + 1);
     }
 }
 

@@ -104,6 +104,7 @@ impl<S: Simd> Run<S> {
             return;
         }
         let start = slopes.at(simd, f64::from(self.y));
+        let old_light = if channels.light { self.load(simd, pixels.light) } else { here };
         self.store(wins.select(before, behind.select(here, before2)), pixels.w2);
         self.store(wins.select(here, before), pixels.w);
         for k in 0..3 {
@@ -119,7 +120,7 @@ impl<S: Simd> Run<S> {
             } else {
                 S::f32s::simd_from(simd, start[3]) + self.xs * right[3]
             };
-            self.keep(simd, wins, new, pixels.light);
+            self.store(wins.select(new, old_light), pixels.light);
         }
     }
 
