@@ -18,10 +18,18 @@ use fearless_simd::Simd;
 use glam::{DMat3, DVec2, DVec3, Vec2, Vec3};
 use std::ops::Range;
 
-/// On a record's first corner: all three are the chunk's own vertices, made by cutting.
-pub(super) const OWN: u32 = 1 << 31;
-/// On a record's second corner: the triangle is not known to be less than 64 px across.
-pub(super) const LARGE: u32 = 1 << 31;
+/// What a record's triangle is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
+pub(super) enum Extent {
+    /// Less than 64 px across.
+    Small,
+    /// Not known to be small.
+    Large,
+    /// A piece of one: its corners are the chunk's own vertices, made by cutting.
+    Piece,
+}
+
 const NONE: u32 = u32::MAX;
 /// Triangles over more tiles than this in a direction are not listed per tile but checked by every tile.
 const MAX_LISTED: usize = 2;
@@ -29,8 +37,8 @@ const MAX_LISTED: usize = 2;
 /// A triangle that may cover pixel centers.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Record {
-    /// Its corners: vertices of the mesh, or the chunk's own, with their marks. Wound so that the snapped area
-    /// is positive with y down.
+    /// Its corners: vertices of the mesh, or the chunk's own. Wound so that the snapped area is positive with y
+    /// down.
     pub corners: [u32; 3],
     /// Index into the frame's surfaces.
     pub surface: u32,
@@ -40,6 +48,7 @@ pub(super) struct Record {
     pub bounds: [i16; 4],
     /// The centers it covers of the four by four from x0, y0 on, row by row; 0 where they are not known.
     pub cover: u16,
+    pub extent: Extent,
     /// The next record of the same tile.
     next: u32,
 }
@@ -133,8 +142,15 @@ impl<'a> Sorting<'a> {
 
 impl Record {
     /// Nothing.
-    pub const NONE: Record =
-        Record { corners: [0; 3], surface: 0, face: -1.0, bounds: [0; 4], cover: 0, next: NONE };
+    pub const NONE: Record = Record {
+        corners: [0; 3],
+        surface: 0,
+        face: -1.0,
+        bounds: [0; 4],
+        cover: 0,
+        extent: Extent::Small,
+        next: NONE,
+    };
 
     /// What of it is inside these pixels.
     fn cut(mut self, [x0, y0, x1, y1]: [i16; 4]) -> Self {
@@ -246,8 +262,8 @@ impl Chunk {
                 if !sorting.plain {
                     (surface, face) = sorting.kind(first + k, [a, b, c]);
                 }
-                let record =
-                    Record { corners, surface, face, bounds, cover: sorted.covers[k] as u16, next: NONE };
+                let (cover, extent) = (sorted.covers[k] as u16, Extent::Small);
+                let record = Record { corners, surface, face, bounds, cover, extent, next: NONE };
                 match sorted.tiles[k] {
                     SEVERAL => self.list(&record),
                     tile => self.append(record, tile as usize),
@@ -280,8 +296,7 @@ impl Chunk {
             let spots = corners.map(|c| sorting.spots[c as usize]);
             if let Some((wound, bounds)) = shape(spots, sorting) {
                 let mut record = sorting.record(triangle, corners, bounds);
-                record.corners = wound.map(|k| corners[k]);
-                record.corners[1] |= LARGE;
+                (record.corners, record.extent) = (wound.map(|k| corners[k]), Extent::Large);
                 self.list(&record);
             }
         } else {
@@ -305,22 +320,22 @@ impl Chunk {
             }
         });
         clip::cut(cut, view.shot.camera.near, view.shot.field, &mut |piece| {
-            let Some((wound, bounds)) = shape(piece.each_ref().map(|seen| seen.vertex.spot()), sorting) else {
+            let Some((wound, bounds)) = shape(piece.each_ref().map(|seen| seen.vertex.spot()), sorting)
+            else {
                 return;
             };
             let first = self.own.places.len() as u32;
             for seen in piece {
                 self.own.places.push(seen.vertex);
                 self.own.spots.push(seen.vertex.spot());
-                self.own.normals.push(seen.corner.normal.as_vec3().extend(seen.vertex.intensity as f32).to_array());
+                self.own
+                    .normals
+                    .push(seen.corner.normal.as_vec3().extend(seen.vertex.intensity as f32).to_array());
                 self.own_uv.push(seen.corner.uv.as_vec2());
                 self.own_colors.push(seen.corner.color.as_vec3());
             }
-            let mut record = Record { bounds, ..whole };
-            record.corners = wound.map(|k| first + k as u32);
-            record.corners[0] |= OWN;
-            record.corners[1] |= LARGE;
-            self.list(&record);
+            let corners = wound.map(|k| first + k as u32);
+            self.list(&Record { bounds, corners, extent: Extent::Piece, ..whole });
         });
     }
 

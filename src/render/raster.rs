@@ -7,8 +7,8 @@
 //! pixels, so that the error is that of seven steps however large it is. Nearest and second-nearest surface are kept
 //! in the same pass. Runs are as wide as the machine's vectors: no value depends on where they begin.
 
-use super::bins::{Chunk, LARGE, OWN, Record};
 use super::View;
+use super::bins::{Chunk, Extent, Record};
 use super::edges::{Area, Edges, Slope, Slopes, SlopesApart, Weights};
 use super::run::{Line, Pixels, Run};
 use super::sort::LITTLE;
@@ -34,10 +34,16 @@ const BOTH: u8 = 1;
 const ANY: u8 = 2;
 
 /// Draws everything that touches a tile; whether any pixel inside the picture is covered.
-pub(super) fn draw_tile(level: Level, view: &View<'_>, chunks: &[Chunk], tile: usize, slot: &mut Slot) -> bool {
+pub(super) fn draw_tile(
+    level: Level,
+    view: &View<'_>,
+    chunks: &[Chunk],
+    tile: usize,
+    slot: &mut Slot,
+) -> bool {
     slot.clear(view.channels, view.nothing);
     let Channels { light, normals, uv, colors, surfaces, second, phantoms } = view.channels;
-    let pixels = &mut Pixels::of(slot, view.channels);
+    let Some(pixels) = &mut Pixels::of(slot, view.channels) else { return false };
     match (second, normals || !light, uv || colors || surfaces || phantoms) {
         (false, false, false) => draw_records::<PLAIN>(level, view, chunks, tile, pixels),
         (true, _, false) => draw_records::<BOTH>(level, view, chunks, tile, pixels),
@@ -68,7 +74,7 @@ impl<'a> Triangle<'a> {
     /// `places` are those that the record's corners count.
     #[inline(always)]
     fn new(chunk: &'a Chunk, record: &'a Record, places: &'a [Vertex]) -> Option<Self> {
-        let [a, b, c] = index(record);
+        let [a, b, c] = record.corners.map(|c| c as usize);
         Some(Self { record, chunk, places: [places.get(a)?, places.get(b)?, places.get(c)?] })
     }
 
@@ -78,9 +84,9 @@ impl<'a> Triangle<'a> {
     where
         'a: 'b,
     {
-        match self.record.corners[0] & OWN {
-            0 => (view.vertices, view.instances[self.chunk.instance].first_vertex),
-            _ => (&self.chunk.own, 0),
+        match self.record.extent {
+            Extent::Piece => (&self.chunk.own, 0),
+            _ => (view.vertices, view.instances[self.chunk.instance].first_vertex),
         }
     }
 
@@ -88,7 +94,7 @@ impl<'a> Triangle<'a> {
     fn spots(&self, view: &View<'_>) -> [Spot; 3] {
         let (vertices, first) = self.vertices(view);
         let of = |i: usize| vertices.spots.get(first + i).copied().unwrap_or_default();
-        let [a, b, c] = index(self.record);
+        let [a, b, c] = self.record.corners.map(|c| c as usize);
         [of(a), of(b), of(c)]
     }
 
@@ -97,7 +103,7 @@ impl<'a> Triangle<'a> {
     fn four<S: Simd>(&self, simd: S, view: &View<'_>, weights: &Weights<S>) -> Slopes<S> {
         let (vertices, first) = self.vertices(view);
         let of = |i: usize| vertices.normals.get(first + i).copied().unwrap_or_default();
-        let ([i, j, k], [a, b, c]) = (index(self.record), self.places);
+        let ([i, j, k], [a, b, c]) = (self.record.corners.map(|c| c as usize), self.places);
         weights.slopes([
             widen(simd, of(i)) * f64x4::splat(simd, a.w),
             widen(simd, of(j)) * f64x4::splat(simd, b.w),
@@ -109,7 +115,7 @@ impl<'a> Triangle<'a> {
     #[inline(always)]
     fn others<S: Simd>(&self, simd: S, view: &View<'_>, weights: &Weights<S>) -> [Slope; MOST - 1] {
         let mut slopes = [Slope::default(); MOST - 1];
-        let ([i, j, k], [a, b, c]) = (index(self.record), self.places);
+        let ([i, j, k], [a, b, c]) = (self.record.corners.map(|c| c as usize), self.places);
         let mut next = 0;
         let mut put = |new: Slopes<S>, count: usize| {
             let apart = new.apart();
@@ -122,17 +128,17 @@ impl<'a> Triangle<'a> {
             put(self.four(simd, view, weights), 3);
         }
         let mesh = &view.shot.scene.models[view.instances[self.chunk.instance].placed.model].mesh;
-        let own = self.record.corners[0] & OWN != 0;
-        let (uv, colors) =
-            if own { (&self.chunk.own_uv, &self.chunk.own_colors) } else { (&mesh.texcoords, &mesh.colors) };
+        let (uv, colors) = match self.record.extent {
+            Extent::Piece => (&self.chunk.own_uv, &self.chunk.own_colors),
+            _ => (&mesh.texcoords, &mesh.colors),
+        };
         for (wanted, count) in [(view.channels.uv, 2), (view.channels.colors, 3)] {
             let of = |i: usize| match count {
                 2 => uv.get(i).copied().unwrap_or_default().extend(0.0).extend(0.0).to_array(),
                 _ => colors.get(i).copied().unwrap_or(Vec3::ONE).extend(0.0).to_array(),
             };
             if wanted {
-                let (a, b, c) =
-                    (f64x4::splat(simd, a.w), f64x4::splat(simd, b.w), f64x4::splat(simd, c.w));
+                let (a, b, c) = (f64x4::splat(simd, a.w), f64x4::splat(simd, b.w), f64x4::splat(simd, c.w));
                 put(
                     weights.slopes([widen(simd, of(i)) * a, widen(simd, of(j)) * b, widen(simd, of(k)) * c]),
                     count,
@@ -156,13 +162,6 @@ impl<'a> Triangle<'a> {
     }
 }
 
-/// The record's corners without their marks.
-#[inline(always)]
-fn index(record: &Record) -> [usize; 3] {
-    let [a, b, c] = record.corners;
-    [(a & !OWN) as usize, (b & !LARGE) as usize, c as usize]
-}
-
 fn draw_records<const MODE: u8>(
     level: Level,
     view: &View<'_>,
@@ -184,17 +183,17 @@ fn draw_records<const MODE: u8>(
         }
         let places = &view.vertices.places[view.instances[chunk.instance].first_vertex..];
         for record in chunk.records_of(tile) {
-            let marked = (record.corners[0] | record.corners[1]) & (OWN | LARGE) != 0;
-            let places = if record.corners[0] & OWN == 0 { places } else { &chunk.own.places };
+            let alone = record.extent != Extent::Small;
+            let places = if record.extent == Extent::Piece { &chunk.own.places } else { places };
             let Some(triangle) = Triangle::new(chunk, record, places) else { continue };
-            if marked && count > 0 {
+            if alone && count > 0 {
                 draw(&four, count);
                 count = 0;
             }
             let waiting = &mut four[count % 4];
             (waiting.record, waiting.chunk, waiting.places) = (triangle.record, chunk, triangle.places);
             count += 1;
-            if marked || count == four.len() {
+            if alone || count == four.len() {
                 draw(&four, count);
                 count = 0;
             }
@@ -303,8 +302,7 @@ fn draw_four<S: Simd, const MODE: u8>(
     let areas = [whole_area(p.record), whole_area(q.record), whole_area(r.record), whole_area(s.record)];
     let setup = Setup::new::<S, MODE>(simd, four, &areas);
     for (k, (triangle, area)) in four.iter().zip(&areas).enumerate().take(count) {
-        let corners = &triangle.record.corners;
-        if (corners[0] | corners[1]) & (OWN | LARGE) != 0 || setup.steep >> k & 1 == 1 {
+        if triangle.record.extent != Extent::Small || setup.steep >> k & 1 == 1 {
             draw_large::<S, MODE>(simd, tile, triangle, pixels);
         } else if triangle.record.cover != 0 && setup.slivers >> k & 1 == 0 {
             draw_little::<S, MODE>(simd, tile, triangle, &setup, k, area, pixels);
@@ -414,7 +412,7 @@ impl<S: Simd> Ink<S> {
         if MODE == PLAIN {
             run.draw_plain(simd, light, pixels);
         } else if MODE == BOTH {
-            run.draw_both(simd, &self.four, &self.four_right, record.face, channels, pixels);
+            run.draw_both(simd, &self.four, &self.four_right, record.face, pixels);
         } else if self.phantom {
             run.hide(simd, pixels);
         } else {
@@ -460,6 +458,7 @@ fn draw_little<S: Simd, const MODE: u8>(
 
 /// Draws a triangle's pixels in the area. `wide` stands for `edges` where they do not fit.
 #[inline(always)]
+#[allow(clippy::too_many_arguments)]
 fn draw_area<S: Simd, const MODE: u8>(
     simd: S,
     tile: &Tile<'_>,

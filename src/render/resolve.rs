@@ -40,7 +40,8 @@ impl Painter<'_> {
         };
         self.rows(grid, 0, sheets, slots);
         for (row, slot) in slots.iter().enumerate() {
-            let columns = (0..grid.columns()).filter(|column| slot.covered[column / 64] >> (column % 64) & 1 == 1);
+            let columns =
+                (0..grid.columns()).filter(|column| slot.covered[column / 64] >> (column % 64) & 1 == 1);
             columns.for_each(|column| layer.touched.insert(row * grid.columns() + column));
         }
     }
@@ -174,8 +175,7 @@ impl Sheets<'_> {
         } else {
             let [r, g, b] = &mut self.color;
             for y in 0..rect.y1 - rect.y0 {
-                let out =
-                    [r.row(y, columns.clone()), g.row(y, columns.clone()), b.row(y, columns.clone())];
+                let out = [r.row(y, columns.clone()), g.row(y, columns.clone()), b.row(y, columns.clone())];
                 shade_row(simd, palette, slot, y, self.depth.row(y, columns.clone()), out);
             }
         }

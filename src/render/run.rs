@@ -1,13 +1,13 @@
 //! A run of pixels in a row of a tile: the depth test, and what is kept of the nearest and second-nearest surface.
 
 use super::edges::{Slope, Slopes};
-use super::tile::{Channels, Slot};
+use super::tile::{AREA, Channels, Slot};
 use fearless_simd::{Simd, prelude::*};
 
 /// The pixels of a slot, plane by plane; those that the frame does not keep are empty.
 pub(super) struct Pixels<'a> {
-    w: &'a mut [f32],
-    light: &'a mut [f32],
+    w: &'a mut [f32; AREA],
+    light: Option<&'a mut [f32; AREA]>,
     normal: [&'a mut [f32]; 3],
     /// Texture coordinates and vertex color.
     others: &'a mut [Vec<f32>],
@@ -18,21 +18,22 @@ pub(super) struct Pixels<'a> {
 }
 
 impl<'a> Pixels<'a> {
-    pub fn of(slot: &'a mut Slot, channels: Channels) -> Self {
+    /// `None` when the slot has no room.
+    pub fn of(slot: &'a mut Slot, channels: Channels) -> Option<Self> {
         let (light, more) = slot.attributes.split_at_mut(channels.normal_at());
         let (normal, others) = more.split_at_mut(channels.uv_at() - channels.normal_at());
         let mut normal = normal.iter_mut();
         let mut next = || normal.next().map(Vec::as_mut_slice).unwrap_or_default();
-        Self {
-            w: &mut slot.w,
-            light: light.first_mut().map(Vec::as_mut_slice).unwrap_or_default(),
+        Some(Self {
+            w: slot.w.first_chunk_mut()?,
+            light: light.first_mut().and_then(|plane| plane.first_chunk_mut()),
             normal: [next(), next(), next()],
             others,
             surface: &mut slot.surface,
             w2: &mut slot.w2,
             normal2: slot.normal2.each_mut().map(Vec::as_mut_slice),
             shield: &mut slot.shield,
-        }
+        })
     }
 }
 
@@ -72,15 +73,18 @@ impl<S: Simd> Run<S> {
         self.store(wins.select(value, self.load(simd, plane)), plane);
     }
 
-    /// Where there is light and nothing else. Both planes are read before one is written: of a plane that is read,
-    /// selected from and written compilers make a masked store, which is slow where the next triangle reads it.
+    /// Where there is light and nothing else.
     #[inline(always)]
     pub fn draw_plain(&self, simd: S, light: Line<S::f32s>, pixels: &mut Pixels<'_>) {
-        let (before, old) = (self.load(simd, pixels.w), self.load(simd, pixels.light));
-        let wins = self.inside & self.here.simd_gt(before);
+        let Some(lights) = pixels.light.as_mut() else { return };
+        let (before, old) = (self.load(simd, &*pixels.w), self.load(simd, &**lights));
+        // 1/z is never below 0. Compilers make masked stores of a plane that is read, selected from and written: slow
+        // where the next triangle reads it
+        let here = self.inside.select(self.here, S::f32s::simd_from(simd, 0.0));
+        let wins = here.simd_gt(before);
         let new = S::f32s::simd_from(simd, light.start) + self.xs * light.right;
-        self.store(wins.select(self.here, before), pixels.w);
-        self.store(wins.select(new, old), pixels.light);
+        self.store(before.max(here), pixels.w);
+        self.store(wins.select(new, old), &mut **lights);
     }
 
     /// Where there are both layers and no more than light beside.
@@ -91,20 +95,19 @@ impl<S: Simd> Run<S> {
         slopes: &Slopes<S>,
         right: &[S::f32s; 4],
         face: f32,
-        channels: Channels,
         pixels: &mut Pixels<'_>,
     ) {
         let (here, inside) = (self.here, self.inside);
-        let (before, before2) = (self.load(simd, pixels.w), self.load(simd, pixels.w2));
+        let (before, before2) = (self.load(simd, &*pixels.w), self.load(simd, pixels.w2));
         let wins = inside & here.simd_gt(before);
         // a fragment behind the first may be the second; a new first makes the old one second
         let behind = inside & here.simd_lt(before) & here.simd_gt(before2);
-        let any = wins.any_true();
-        if !any && behind.all_false() {
+        if (wins | behind).all_false() {
             return;
         }
         let start = slopes.at(simd, f64::from(self.y));
-        let old_light = if channels.light { self.load(simd, pixels.light) } else { here };
+        let light = pixels.light.as_mut();
+        let old_light = light.as_ref().map_or(here, |light| self.load(simd, &***light));
         self.store(wins.select(before, behind.select(here, before2)), pixels.w2);
         self.store(wins.select(here, before), pixels.w);
         for k in 0..3 {
@@ -114,13 +117,13 @@ impl<S: Simd> Run<S> {
             self.store(wins.select(old, behind.select(new, old2)), second);
             self.store(wins.select(new, old), first);
         }
-        if any && channels.light {
+        if let Some(light) = light {
             let new = if face >= 0.0 {
                 S::f32s::simd_from(simd, face)
             } else {
                 S::f32s::simd_from(simd, start[3]) + self.xs * right[3]
             };
-            self.store(wins.select(new, old_light), pixels.light);
+            self.store(wins.select(new, old_light), &mut **light);
         }
     }
 
@@ -152,7 +155,7 @@ impl<S: Simd> Run<S> {
         if channels.phantoms {
             inside &= here.simd_gt(self.load(simd, pixels.shield));
         }
-        let before = self.load(simd, pixels.w);
+        let before = self.load(simd, &*pixels.w);
         let wins = inside & here.simd_gt(before);
         let any = wins.any_true();
         if channels.second {
@@ -173,9 +176,9 @@ impl<S: Simd> Run<S> {
             return;
         }
         self.store(wins.select(here, before), pixels.w);
-        if channels.light {
+        if let Some(plane) = pixels.light.as_mut() {
             let new = S::f32s::simd_from(simd, light.start) + self.xs * light.right;
-            self.keep(simd, wins, new, pixels.light);
+            self.keep(simd, wins, new, &mut **plane);
         }
         let (normals, others) = others.split_at(if channels.normals { 3 } else { 0 });
         for (slope, plane) in normals.iter().zip(&mut pixels.normal) {

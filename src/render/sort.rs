@@ -92,8 +92,11 @@ impl Sorted {
             let edges = ([e0, e1, e2], [r0 << 8, r1 << 8, r2 << 8], [d0 << 8, d1 << 8, d2 << 8]);
             // most batches have no more than two a side
             let more = little & (wide | high).simd_gt(of(1));
-            let outside =
-                if more.any_true() { outside::<S, LITTLE>(simd, edges) } else { outside::<S, 2>(simd, edges) };
+            let outside = if more.any_true() {
+                outside::<S, LITTLE>(simd, edges)
+            } else {
+                outside::<S, 2>(simd, edges)
+            };
             let columns = pick_side(simd, wide, [0x1111, 0x3333, 0x7777, 0xffff]);
             let rows = pick_side(simd, high, [0xf, 0xff, 0xfff, 0xffff]);
             covers = little.select(columns & rows & !outside, of(0));

@@ -10,7 +10,7 @@ pub(super) const STRIDE: usize = TILE + 8;
 pub(super) const ROW_WORDS: usize = super::MAX_SIDE / TILE / 64;
 
 /// Pixels of a slot.
-const AREA: usize = STRIDE * TILE;
+pub(super) const AREA: usize = STRIDE * TILE;
 
 /// What the frame keeps of a pixel beside 1/z.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
