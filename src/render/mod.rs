@@ -4,8 +4,9 @@
 //! 2. `clip`: only triangles that cross the near plane, leave the lens's field or bend in it are cut (f64).
 //! 3. `bins`: what covers no pixel center dies, eight triangles at a time (`sort`); the rest is listed per 64-px
 //!    tile, chunk by chunk, in submission order, without locks.
-//! 4. `raster`: a tile's lists are walked: exact integer edges, 1/z and attributes of the unsnapped triangle
-//!    (`edges`), nearest and second-nearest surface in the same pass (`run`), into the tile's own pixels (`tile`).
+//! 4. `raster`: a tile's lists are walked, small triangles set up four at a time (`setup`): exact integer edges, 1/z and
+//!    attributes of the unsnapped triangle (`edges`), nearest and second-nearest surface in the same pass (`run`), into
+//!    the tile's own pixels (`tile`).
 //! 5. `resolve`: a task a row of tiles; each tile is drawn and, while it is at hand, written into the layer, each
 //!    pixel's nearest surface shaded (`shade`); tiles covered last time only are cleared.
 //! 6. `silhouette`: thick outlines are drawn over the depth, where they are asked for.
@@ -28,6 +29,7 @@ mod raster;
 pub mod reference;
 mod resolve;
 mod run;
+mod setup;
 mod shade;
 mod shape;
 mod silhouette;
