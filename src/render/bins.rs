@@ -6,8 +6,9 @@
 //! records at once, large ones and those to be cut go the long way.
 
 use super::clip::{self, Corner};
+use super::record::{Extent, NONE, Record};
 use super::shape::{CLUSTER, Frustum, Shape};
-use super::sort::{BATCH, LITTLE, Rules, SEVERAL, SMALL, Sorted};
+use super::sort::{BATCH, Rules, SEVERAL, SMALL, Sorted};
 use super::vertex::{NO_SPOT, Spot, Vertices, normal_matrix, unit};
 use super::{Instance, View};
 use crate::frame::Needs;
@@ -18,40 +19,8 @@ use fearless_simd::Simd;
 use glam::{DMat3, DVec2, DVec3, Vec2, Vec3};
 use std::ops::Range;
 
-/// What a record's triangle is.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[repr(u8)]
-pub(super) enum Extent {
-    /// Less than 64 px across.
-    Small,
-    /// Not known to be small.
-    Large,
-    /// A piece of one: its corners are the chunk's own vertices, made by cutting.
-    Piece,
-}
-
-const NONE: u32 = u32::MAX;
 /// Triangles over more tiles than this in a direction are not listed per tile but checked by every tile.
 const MAX_LISTED: usize = 2;
-
-/// A triangle that may cover pixel centers.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Record {
-    /// Its corners: vertices of the mesh, or the chunk's own. Wound so that the snapped area is positive with y
-    /// down.
-    pub corners: [u32; 3],
-    /// Index into the frame's surfaces.
-    pub surface: u32,
-    /// Intensity of a flat face; below 0 where intensity is interpolated.
-    pub face: f32,
-    /// Pixels whose centers it may cover: x0, y0, x1, y1, all inclusive; within the tile unless it is over many.
-    pub bounds: [i16; 4],
-    /// The centers it covers of the four by four from x0, y0 on, row by row; 0 where they are not known.
-    pub cover: u16,
-    pub extent: Extent,
-    /// The next record of the same tile.
-    next: u32,
-}
 
 /// Consecutive triangles of one instance and what is left of them.
 #[derive(Default)]
@@ -137,35 +106,6 @@ impl<'a> Sorting<'a> {
     fn record(&self, triangle: usize, corners: [u32; 3], bounds: [i16; 4]) -> Record {
         let (surface, face) = self.kind(triangle, corners);
         Record { corners, surface, face, bounds, ..Record::NONE }
-    }
-}
-
-impl Record {
-    /// Nothing.
-    pub const NONE: Record = Record {
-        corners: [0; 3],
-        surface: 0,
-        face: -1.0,
-        bounds: [0; 4],
-        cover: 0,
-        extent: Extent::Small,
-        next: NONE,
-    };
-
-    /// What of it is inside these pixels.
-    fn cut(mut self, [x0, y0, x1, y1]: [i16; 4]) -> Self {
-        let [left, top, right, bottom] = self.bounds;
-        self.bounds = [left.max(x0), top.max(y0), right.min(x1), bottom.min(y1)];
-        if self.cover != 0 {
-            let side = LITTLE as i16;
-            let before = self.bounds[0] - left;
-            // columns before the first leave their rows, those after the last are none
-            let columns = (0xf_u16 >> before).min(0xf >> (side - 1 - (self.bounds[2] - self.bounds[0])));
-            let rows = 0xffff >> (side * (side - 1 - (self.bounds[3] - self.bounds[1])));
-            self.cover >>= side * (self.bounds[1] - top) + before;
-            self.cover &= columns * 0x1111 & rows;
-        }
-        self
     }
 }
 

@@ -26,6 +26,7 @@ mod field;
 mod kept;
 mod particles;
 mod raster;
+mod record;
 pub mod reference;
 mod resolve;
 mod run;

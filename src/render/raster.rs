@@ -8,8 +8,9 @@
 //! in the same pass. Runs are as wide as the machine's vectors: no value depends on where they begin.
 
 use super::View;
-use super::bins::{Chunk, Extent, Record};
+use super::bins::Chunk;
 use super::edges::{Area, Edges, Slope, Slopes, Weights};
+use super::record::{Extent, Record};
 use super::run::{Line, Pixels, Run};
 use super::setup::{ANY, BOTH, PLAIN, STRIP, Setup, Triangle};
 use super::sort::LITTLE;

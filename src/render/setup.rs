@@ -2,8 +2,9 @@
 //! they are. Other attributes are set up for one triangle, a value a lane.
 
 use super::View;
-use super::bins::{Chunk, Extent, Record};
+use super::bins::Chunk;
 use super::edges::{Area, Slope, Slopes, SlopesApart, Weights};
+use super::record::{Extent, Record};
 use super::sort::LITTLE;
 use super::tile::MOST;
 use super::vertex::{Spot, Vertex, Vertices, narrow, widen};

@@ -89,7 +89,7 @@ impl Sorted {
             let (e0, r0, d0) = edge(simd, corner, a, p);
             let (e1, r1, d1) = edge(simd, corner, p, q);
             let (e2, r2, d2) = edge(simd, corner, q, a);
-            let edges = ([e0, e1, e2], [r0 << 8, r1 << 8, r2 << 8], [d0 << 8, d1 << 8, d2 << 8]);
+            let edges = [[e0, r0 << 8, d0 << 8], [e1, r1 << 8, d1 << 8], [e2, r2 << 8, d2 << 8]];
             // most batches have no more than two a side
             let more = little & (wide | high).simd_gt(of(1));
             let outside = if more.any_true() {
@@ -136,14 +136,14 @@ fn pick<S: Simd>(mask: mask32x8<S>, yes: Side<S>, no: Side<S>) -> Side<S> {
 #[inline(always)]
 fn outside<S: Simd, const SIDE: i32>(
     simd: S,
-    ([e0, e1, e2], [r0, r1, r2], [d0, d1, d2]): ([i32x8<S>; 3], [i32x8<S>; 3], [i32x8<S>; 3]),
+    [[e0, r0, d0], [e1, r1, d1], [e2, r2, d2]]: [[i32x8<S>; 3]; 3],
 ) -> i32x8<S> {
     // from the last center to the first, which takes the lowest bit
     let last = i32x8::splat(simd, SIDE - 1);
     let (mut e0, mut e1, mut e2) = (e0 + (r0 + d0) * last, e1 + (r1 + d1) * last, e2 + (r2 + d2) * last);
     let mut outside = i32x8::splat(simd, 0);
     for _ in 0..SIDE {
-        outside = outside << (LITTLE - SIDE) as u32;
+        outside <<= (LITTLE - SIDE) as u32;
         let (mut f0, mut f1, mut f2) = (e0, e1, e2);
         for _ in 0..SIDE {
             // 0 or -1
