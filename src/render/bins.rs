@@ -1,11 +1,12 @@
 //! A chunk of consecutive triangles: those that cover a pixel center become records, listed per tile in submission
 //! order. Each chunk is filled by one task and read by all tiles, so nothing is locked.
 //!
-//! Eight triangles at a time are bounded and wound by their spots alone; of those in a box of at most two by two
+//! Eight triangles at a time are bounded and wound by their spots alone; of those in a box of at most four by four
 //! pixel centers the centers themselves are tried. Only what is left is looked at singly: small triangles become
 //! records at once, large ones and those to be cut go the long way.
 
 use super::clip::{self, Corner};
+use super::record::{Extent, NONE, Record};
 use super::shape::{CLUSTER, Frustum, Shape};
 use super::sort::{BATCH, Rules, SEVERAL, SMALL, Sorted};
 use super::vertex::{NO_SPOT, Spot, Vertices, normal_matrix, unit};
@@ -18,29 +19,8 @@ use fearless_simd::Simd;
 use glam::{DMat3, DVec2, DVec3, Vec2, Vec3};
 use std::ops::Range;
 
-/// On a record's first corner: all three are the chunk's own vertices, made by cutting.
-pub(super) const OWN: u32 = 1 << 31;
-/// On a record's second corner: the triangle is not known to be less than 64 px across.
-pub(super) const LARGE: u32 = 1 << 31;
-const NONE: u32 = u32::MAX;
 /// Triangles over more tiles than this in a direction are not listed per tile but checked by every tile.
 const MAX_LISTED: usize = 2;
-
-/// A triangle that may cover pixel centers.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Record {
-    /// Its corners: vertices of the mesh, or the chunk's own, with their marks. Wound so that the snapped area
-    /// is positive with y down.
-    pub corners: [u32; 3],
-    /// Index into the frame's surfaces.
-    pub surface: u32,
-    /// Intensity of a flat face; below 0 where intensity is interpolated.
-    pub face: f32,
-    /// Pixels whose centers it may cover: x0, y0, x1, y1, all inclusive.
-    pub bounds: [i16; 4],
-    /// The next record of the same tile.
-    next: u32,
-}
 
 /// Consecutive triangles of one instance and what is left of them.
 #[derive(Default)]
@@ -71,8 +51,9 @@ struct Sorting<'a> {
     spots: &'a [Spot],
     shape: Option<&'a Shape>,
     frustum: Frustum,
-    /// The surface of all triangles, where there is but one and faces are not flat.
-    plain: Option<u32>,
+    /// The instance's first surface, and whether all triangles have it and no face is flat.
+    surface: u32,
+    plain: bool,
     /// Turns face normals, where faces are flat.
     flat: Option<DMat3>,
     rules: Rules,
@@ -91,7 +72,8 @@ impl<'a> Sorting<'a> {
             spots,
             shape: view.shapes.of(instance.placed.model),
             frustum: instance.frustum,
-            plain: (!flat && model.mesh.materials.is_empty()).then_some(instance.first_surface as u32),
+            surface: instance.first_surface as u32,
+            plain: !flat && model.mesh.materials.is_empty(),
             flat: flat.then(|| normal_matrix(&instance.placed.to_camera)),
             rules: Rules {
                 size: view.shot.camera.lens.size,
@@ -108,23 +90,22 @@ impl<'a> Sorting<'a> {
         self.shape.is_none_or(|shape| shape.cluster_may_show(triangle, &self.frustum, self.rules.cull_back))
     }
 
-    fn surface(&self, triangle: usize) -> u32 {
+    /// The surface, and the intensity of a flat face.
+    #[inline(never)]
+    fn kind(&self, triangle: usize, corners: [u32; 3]) -> (u32, f32) {
         let none = self.mesh.materials.len();
         let own = self.mesh.material_of.get(triangle).map_or(0, |&m| usize::from(m).min(none));
-        (self.instance.first_surface + own) as u32
-    }
-
-    fn face(&self, corners: [u32; 3]) -> f32 {
-        let Some(normals) = self.flat else { return -1.0 };
+        let surface = self.surface + own as u32;
+        let Some(normals) = self.flat else { return (surface, -1.0) };
         let at = |c: u32| self.mesh.positions.get(c as usize).copied().unwrap_or_default().as_dvec3();
         let [a, b, c] = corners.map(at);
-        unit(normals * (b - a).cross(c - a)).dot(self.view.shot.scene.light.direction.as_dvec3()).max(0.0)
-            as f32
+        let light = self.view.shot.scene.light.direction.as_dvec3();
+        (surface, unit(normals * (b - a).cross(c - a)).dot(light).max(0.0) as f32)
     }
 
     fn record(&self, triangle: usize, corners: [u32; 3], bounds: [i16; 4]) -> Record {
-        let (surface, face) = (self.surface(triangle), self.face(corners));
-        Record { corners, surface, face, bounds, next: NONE }
+        let (surface, face) = self.kind(triangle, corners);
+        Record { corners, surface, face, bounds, ..Record::NONE }
     }
 }
 
@@ -162,14 +143,13 @@ impl Chunk {
 
     /// The records that may touch the tile, in submission order.
     pub fn records_of(&self, tile: usize) -> impl Iterator<Item = &Record> {
-        let mut listed = self.heads[tile];
-        let mut wide = self.wide.iter().copied().peekable();
+        let (mut listed, mut wide) = (self.heads[tile], self.wide.as_slice());
         std::iter::from_fn(move || {
-            if let Some(&index) = wide.peek()
-                && index < listed
+            if let [first, rest @ ..] = wide
+                && *first < listed
             {
-                wide.next();
-                return self.records.get(index as usize);
+                wide = rest;
+                return self.records.get(*first as usize);
             }
             let record = self.records.get(listed as usize)?;
             listed = record.next;
@@ -218,12 +198,14 @@ impl Chunk {
                 let corners = if front { [a, c, b] } else { [a, b, c] };
                 let bounds = [sorted.lows[k], sorted.lows[k] >> 16, sorted.highs[k], sorted.highs[k] >> 16];
                 let bounds = bounds.map(|v| v as i16);
-                let record = match sorting.plain {
-                    Some(surface) => Record { corners, surface, face: -1.0, bounds, next: NONE },
-                    None => Record { corners, ..sorting.record(first + k, [a, b, c], bounds) },
-                };
+                let (mut surface, mut face) = (sorting.surface, -1.0);
+                if !sorting.plain {
+                    (surface, face) = sorting.kind(first + k, [a, b, c]);
+                }
+                let (cover, extent) = (sorted.covers[k] as u16, Extent::Small);
+                let record = Record { corners, surface, face, bounds, cover, extent, next: NONE };
                 match sorted.tiles[k] {
-                    SEVERAL => self.list(record),
+                    SEVERAL => self.list(&record),
                     tile => self.append(record, tile as usize),
                 }
             }
@@ -254,9 +236,8 @@ impl Chunk {
             let spots = corners.map(|c| sorting.spots[c as usize]);
             if let Some((wound, bounds)) = shape(spots, sorting) {
                 let mut record = sorting.record(triangle, corners, bounds);
-                record.corners = wound.map(|k| corners[k]);
-                record.corners[1] |= LARGE;
-                self.list(record);
+                (record.corners, record.extent) = (wound.map(|k| corners[k]), Extent::Large);
+                self.list(&record);
             }
         } else {
             self.cut(sorting, triangle, corners);
@@ -273,52 +254,49 @@ impl Chunk {
             Corner {
                 point: instance.placed.to_camera.transform_point3(mesh.positions[c].as_dvec3()),
                 normal: DVec3::new(normal[0].into(), normal[1].into(), normal[2].into()),
-                intensity: f64::from(view.vertices.places[index].intensity),
+                intensity: view.vertices.places[index].intensity,
                 uv: mesh.texcoords.get(c).map_or(DVec2::ZERO, |uv| uv.as_dvec2()),
                 color: mesh.colors.get(c).map_or(DVec3::ONE, |color| color.as_dvec3()),
             }
         });
         clip::cut(cut, view.shot.camera.near, view.shot.field, &mut |piece| {
-            let Some((wound, bounds)) = shape(piece.each_ref().map(|seen| seen.vertex.spot), sorting) else {
+            let Some((wound, bounds)) = shape(piece.each_ref().map(|seen| seen.vertex.spot()), sorting)
+            else {
                 return;
             };
             let first = self.own.places.len() as u32;
             for seen in piece {
                 self.own.places.push(seen.vertex);
-                self.own.normals.push(seen.corner.normal.as_vec3().extend(seen.vertex.intensity).to_array());
+                self.own.spots.push(seen.vertex.spot());
+                self.own
+                    .normals
+                    .push(seen.corner.normal.as_vec3().extend(seen.vertex.intensity as f32).to_array());
                 self.own_uv.push(seen.corner.uv.as_vec2());
                 self.own_colors.push(seen.corner.color.as_vec3());
             }
-            let mut record = Record { bounds, ..whole };
-            record.corners = wound.map(|k| first + k as u32);
-            record.corners[0] |= OWN;
-            record.corners[1] |= LARGE;
-            self.list(record);
+            let corners = wound.map(|k| first + k as u32);
+            self.list(&Record { bounds, corners, extent: Extent::Piece, ..whole });
         });
     }
 
-    /// Adds a record under each of its tiles.
-    #[inline(always)]
-    fn list(&mut self, record: Record) {
-        let [x0, y0, x1, y1] = record.bounds.map(|v| v as usize / TILE);
-        if x0 == x1 && y0 == y1 {
-            return self.append(record, y0 * self.columns + x0);
-        }
-        self.list_more(record, [x0, y0, x1, y1]);
-    }
-
+    /// Adds what of a record is in them to its tiles.
     #[inline(never)]
-    fn list_more(&mut self, record: Record, [x0, y0, x1, y1]: [usize; 4]) {
+    fn list(&mut self, record: &Record) {
+        let [x0, y0, x1, y1] = record.bounds.map(|v| v as usize / TILE);
         if x1 - x0 >= MAX_LISTED || y1 - y0 >= MAX_LISTED {
             self.wide.push(self.records.len() as u32);
-            self.records.push(record);
+            self.records.push(*record);
             let [a, b, c, d] = self.wide_tiles.unwrap_or([x0, y0, x1, y1]);
             self.wide_tiles = Some([a.min(x0), b.min(y0), c.max(x1), d.max(y1)]);
             return;
         }
         for row in y0..=y1 {
             for column in x0..=x1 {
-                self.append(record, row * self.columns + column);
+                let (x, y) = ((column * TILE) as i16, (row * TILE) as i16);
+                let part = record.cut([x, y, x + (TILE as i16 - 1), y + (TILE as i16 - 1)]);
+                if record.cover == 0 || part.cover != 0 {
+                    self.append(part, row * self.columns + column);
+                }
             }
         }
     }

@@ -42,7 +42,7 @@ impl Corner {
     /// Put on the picture; `None` outside near plane and field.
     fn project(&self, near: f64, field: &Field) -> Option<Seen> {
         let mut vertex = Vertex::project(self.point, near, field);
-        vertex.intensity = self.intensity as f32;
+        vertex.intensity = f64::from(self.intensity as f32);
         (vertex.w > 0.0).then_some(Seen { corner: *self, vertex })
     }
 }

@@ -4,13 +4,14 @@
 //! 2. `clip`: only triangles that cross the near plane, leave the lens's field or bend in it are cut (f64).
 //! 3. `bins`: what covers no pixel center dies, eight triangles at a time (`sort`); the rest is listed per 64-px
 //!    tile, chunk by chunk, in submission order, without locks.
-//! 4. `raster`: one task a tile walks its lists: exact integer edges, 1/z and attributes of the unsnapped triangle
-//!    (`edges`), nearest and second-nearest surface in the same pass (`run`), into the tile's own pixels (`tile`).
-//! 5. `resolve`: covered tiles are written into the layer, each pixel's nearest surface is shaded (`shade`); tiles
-//!    covered last time only are cleared.
+//! 4. `raster`: a tile's lists are walked, small triangles set up four at a time (`setup`): exact integer edges, 1/z and
+//!    attributes of the unsnapped triangle (`edges`), nearest and second-nearest surface in the same pass (`run`), into
+//!    the tile's own pixels (`tile`).
+//! 5. `resolve`: a task a row of tiles; each tile is drawn and, while it is at hand, written into the layer, each
+//!    pixel's nearest surface shaded (`shade`); tiles covered last time only are cleared.
 //! 6. `silhouette`: thick outlines are drawn over the depth, where they are asked for.
 //!
-//! `stages` runs 1 to 4 and owns what they need. `shape` and `kept` are for skipping: what is out of view, and a frame that would be the last one again.
+//! `stages` runs 1 to 5 and owns what they need. `shape` and `kept` are for skipping: what is out of view, and a frame that would be the last one again.
 //!
 //! Apart from these, `particles` turns models into points for styles that ask for them.
 //!
@@ -25,9 +26,11 @@ mod field;
 mod kept;
 mod particles;
 mod raster;
+mod record;
 pub mod reference;
 mod resolve;
 mod run;
+mod setup;
 mod shade;
 mod shape;
 mod silhouette;
@@ -134,7 +137,6 @@ pub struct Renderer {
     previous: TileSet,
     field: Option<Field>,
     stages: Stages,
-    slot_of: Vec<u32>,
     silhouette: Silhouette,
     kept: Kept,
     work: Work,
@@ -155,7 +157,6 @@ impl Renderer {
             previous: TileSet::default(),
             field: None,
             stages: Stages::default(),
-            slot_of: Vec::new(),
             silhouette: Silhouette::default(),
             kept: Kept::default(),
             work: Work::default(),
@@ -231,8 +232,6 @@ impl Renderer {
         self.layer.grid = Some(grid);
         self.layer.light = scene.light.direction;
         self.layer.extent = [f32::INFINITY, f32::NEG_INFINITY];
-        self.slot_of.clear();
-        self.slot_of.resize(grid.count(), u32::MAX);
         self.silhouette.clear();
         let usable = camera.near > 0.0 && camera.far > camera.near && camera.far.is_finite();
         let drawn = size.area() > 0 && size.width.max(size.height) <= MAX_SIDE;
@@ -243,21 +242,14 @@ impl Renderer {
                 self.field = Some(Field::new(camera.lens));
             }
             if needs.without(Needs::PARTICLES) != Needs::NOTHING {
-                self.rasterise(scene, placed, camera, grid, look, part);
+                self.sort(scene, placed, camera, grid, look, part);
             }
         }
-        for (k, slot) in self.stages.slots().iter().enumerate() {
-            if slot.covered {
-                self.layer.touched.insert(slot.tile);
-                self.slot_of[slot.tile] = k as u32;
-            }
-        }
-        let Self { level, layer, stages, slot_of, previous, silhouette, .. } = self;
-        let palette = stages.palette(scene, camera);
-        if needs.includes(Needs::SILHOUETTE) && palette.channels.phantoms {
-            silhouette.take_shield(stages.slots(), grid, size, palette.nothing);
-        }
-        resolve::resolve(*level, layer, &palette, grid, stages.slots(), slot_of, previous);
+        let Self { level, layer, field, stages, previous, silhouette, .. } = self;
+        let field = field.as_ref().filter(|_| drawn);
+        let shot = field.map(|field| Shot { scene, camera, field, grid, look });
+        let lines = needs.includes(Needs::SILHOUETTE).then_some(silhouette);
+        stages.paint(*level, (scene, camera), shot, layer, previous, lines);
         if needs.includes(Needs::SILHOUETTE) {
             self.silhouette.draw(&mut self.layer, grid, &self.previous, look.line_width, camera.far);
         }
@@ -297,7 +289,7 @@ impl Renderer {
         let grid = TileGrid::new(size);
         self.layer.touched.reset(grid);
         self.previous.reset(grid);
-        self.stages.resize(if size.width.max(size.height) <= MAX_SIDE { grid.count() } else { 0 });
+        self.stages.resize(if size.width.max(size.height) <= MAX_SIDE { grid.rows() } else { 0 });
         self.shape = Some((size, needs));
     }
 
@@ -325,8 +317,8 @@ impl Renderer {
         }
     }
 
-    /// Steps 1 to 4.
-    fn rasterise(
+    /// Steps 1 to 3.
+    fn sort(
         &mut self,
         scene: &Scene,
         placed: &[Placed],
@@ -339,7 +331,7 @@ impl Renderer {
         let Some(field) = field.as_ref() else { return };
         let shot = Shot { scene, camera, field, grid, look };
         let lines = look.needs.includes(Needs::SILHOUETTE).then_some(silhouette);
-        let (extent, done) = stages.run(*level, &shot, placed, part, lines);
+        let (extent, done) = stages.sort(*level, &shot, placed, part, lines);
         layer.extent = extent;
         *work = Work { frames: work.frames, ..done };
     }

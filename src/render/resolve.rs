@@ -1,156 +1,204 @@
-//! From tiles to the layer's planes: 1/z to z, attributes to color, normals to unit length; tiles that were covered
-//! last time and are not now go back to the background.
+//! Row by row of tiles: tiles are drawn and, while they are at hand, written to the layer's planes: 1/z to z,
+//! attributes to color, normals to unit length. Those that were covered last time and are not now go back to the
+//! background.
 
+use super::View;
+use super::bins::Chunk;
+use super::raster;
 use super::shade::{Palette, shade_row};
 use super::tile::{STRIDE, Slot};
 use crate::frame::Layer;
 use crate::pixels::simd::{Level, dispatch};
-use crate::pixels::{Plane, PlaneMut, TILE, TileGrid, TileSet};
-use rayon::prelude::*;
+use crate::pixels::{Plane, Rect, TILE, TileGrid, TileSet};
+use fearless_simd::Simd;
+use std::ops::Range;
 
-/// Which tiles a band of rows must write.
-struct Tiles<'a> {
-    grid: TileGrid,
-    slots: &'a [Slot],
-    slot_of: &'a [u32],
-    previous: &'a TileSet,
-    /// 1/z that stands for no surface.
-    nothing: f32,
+/// What tiles are drawn from and written with.
+pub(super) struct Painter<'a> {
+    pub level: Level,
+    pub view: Option<View<'a>>,
+    pub chunks: &'a [Chunk],
+    pub palette: Palette<'a>,
+    pub previous: &'a TileSet,
 }
 
-/// What happens to a tile.
-enum Fate<'a> {
-    Draw(&'a Slot),
-    Clear,
-}
+impl Painter<'_> {
+    /// Draws and writes all planes the layer has, and what phantoms hide where that is wanted; fills the set of touched
+    /// tiles. There is a slot for each row of tiles.
+    pub fn paint(&self, layer: &mut Layer, shield: Option<&mut Plane<f32>>, slots: &mut [Slot]) {
+        let Some(grid) = layer.grid else { return };
+        if self.chunks.is_empty() && self.previous.is_empty() {
+            return;
+        }
+        let sheets = Sheets {
+            color: layer.color.planes.each_mut().map(Sheet::of),
+            depth: Sheet::of(&mut layer.depth),
+            depth2: Sheet::of(&mut layer.depth2),
+            normal: layer.normal.each_mut().map(Sheet::of),
+            normal2: layer.normal2.each_mut().map(Sheet::of),
+            shield: shield.map(Sheet::of).unwrap_or_default(),
+        };
+        self.rows(grid, 0, sheets, slots);
+        for (row, slot) in slots.iter().enumerate() {
+            let columns =
+                (0..grid.columns()).filter(|column| slot.covered[column / 64] >> (column % 64) & 1 == 1);
+            columns.for_each(|column| layer.touched.insert(row * grid.columns() + column));
+        }
+    }
 
-impl<'a> Tiles<'a> {
-    /// The tiles of one row of tiles that change, with their columns in the picture.
-    fn of_row(&self, row: usize) -> impl Iterator<Item = (std::ops::Range<usize>, Fate<'a>)> {
-        let columns = self.grid.columns();
-        (row * columns..(row + 1) * columns).filter_map(move |tile| {
-            let rect = self.grid.rect(tile);
-            let fate = match self.slots.get(self.slot_of[tile] as usize) {
-                Some(slot) => Fate::Draw(slot),
-                None if self.previous.contains(tile) => Fate::Clear,
-                None => return None,
+    fn rows(&self, grid: TileGrid, first: usize, sheets: Sheets<'_>, slots: &mut [Slot]) {
+        match slots {
+            [] => {}
+            [slot] => self.row(grid, first, sheets, slot),
+            more => {
+                let half = more.len() / 2;
+                let (slots, more) = more.split_at_mut(half);
+                let (above, below) = sheets.split(half);
+                rayon::join(
+                    || self.rows(grid, first, above, slots),
+                    || self.rows(grid, first + half, below, more),
+                );
+            }
+        }
+    }
+
+    fn row(&self, grid: TileGrid, row: usize, mut sheets: Sheets<'_>, slot: &mut Slot) {
+        slot.covered = Default::default();
+        for column in 0..grid.columns() {
+            let tile = row * grid.columns() + column;
+            let reached = self.chunks.iter().any(|chunk| chunk.reaches(tile, column, row));
+            let covered = match &self.view {
+                Some(view) if reached => raster::draw_tile(self.level, view, self.chunks, tile, slot),
+                _ => false,
             };
-            Some((rect.x0..rect.x1, fate))
-        })
-    }
-}
-
-/// Writes all planes the layer has.
-pub(super) fn resolve(
-    level: Level,
-    layer: &mut Layer,
-    palette: &Palette<'_>,
-    grid: TileGrid,
-    slots: &[Slot],
-    slot_of: &[u32],
-    previous: &TileSet,
-) {
-    if layer.touched.is_empty() && previous.is_empty() {
-        return;
-    }
-    let tiles = &Tiles { grid, slots, slot_of, previous, nothing: palette.nothing };
-    if layer.color.size().area() > 0 {
-        let [r, g, b] = layer.color.planes.each_mut().map(|p| p.view_mut().par_bands(TILE));
-        let depth = layer.depth.view_mut().par_bands(TILE);
-        r.zip(g).zip(b).zip(depth).with_max_len(1).for_each(|(((r, g), b), depth)| {
-            let (row, mut bands, mut depth) = (r.0 / TILE, [r.1, g.1, b.1], depth.1);
-            for (columns, fate) in tiles.of_row(row) {
-                write_color(level, palette, &mut bands, &mut depth, columns, &fate);
+            let rect = grid.rect(tile);
+            if covered {
+                slot.covered[column / 64] |= 1 << (column % 64);
+                dispatch!(self.level, simd => sheets.write(simd, &self.palette, slot, rect));
+            } else if self.previous.contains(tile) {
+                sheets.clear(rect);
             }
-        });
-    } else {
-        depth_alone(level, &mut layer.depth, tiles, |slot| &slot.w);
-    }
-    depth_alone(level, &mut layer.depth2, tiles, |slot| &slot.w2);
-    let first = palette.channels.normal_at();
-    normals(level, &mut layer.normal, tiles, |slot| (&slot.w, &slot.attributes[first..]));
-    normals(level, &mut layer.normal2, tiles, |slot| (&slot.w2, &slot.normal2));
-}
-
-fn depth_alone(level: Level, plane: &mut Plane<f32>, tiles: &Tiles<'_>, of: impl Fn(&Slot) -> &[f32] + Sync) {
-    plane.view_mut().par_bands(TILE).with_max_len(1).for_each(|(first, mut band)| {
-        for (columns, fate) in tiles.of_row(first / TILE) {
-            write_depth(level, tiles.nothing, &mut band, columns, &fate, &of);
-        }
-    });
-}
-
-fn normals(
-    level: Level,
-    planes: &mut [Plane<f32>; 3],
-    tiles: &Tiles<'_>,
-    of: impl Fn(&Slot) -> (&[f32], &[Vec<f32>]) + Sync,
-) {
-    if planes[0].size().area() == 0 {
-        return;
-    }
-    let [x, y, z] = planes.each_mut().map(|p| p.view_mut().par_bands(TILE));
-    x.zip(y).zip(z).with_max_len(1).for_each(|((x, y), z)| {
-        let (row, mut bands) = (x.0 / TILE, [x.1, y.1, z.1]);
-        for (columns, fate) in tiles.of_row(row) {
-            for y in 0..bands[0].size().height {
-                let [bx, by, bz] = bands.each_mut().map(|band| &mut band.row_mut(y)[columns.clone()]);
-                match &fate {
-                    Fate::Clear => [bx, by, bz].into_iter().for_each(|row| row.fill(0.0)),
-                    Fate::Draw(slot) => {
-                        let (w, n) = of(slot);
-                        let part = y * STRIDE..y * STRIDE + bx.len();
-                        let [nx, ny, nz, ..] = n else { continue };
-                        let from = [nx, ny, nz].map(|plane| &plane[part.clone()]);
-                        dispatch!(level, _simd => unit_row(&w[part.clone()], tiles.nothing, from, [bx, by, bz]));
-                    }
-                }
-            }
-        }
-    });
-}
-
-fn write_depth(
-    level: Level,
-    nothing: f32,
-    band: &mut PlaneMut<'_, f32>,
-    columns: std::ops::Range<usize>,
-    fate: &Fate<'_>,
-    of: impl Fn(&Slot) -> &[f32],
-) {
-    for y in 0..band.size().height {
-        let out = &mut band.row_mut(y)[columns.clone()];
-        match fate {
-            Fate::Clear => out.fill(f32::INFINITY),
-            Fate::Draw(slot) => {
-                let w = &of(slot)[y * STRIDE..y * STRIDE + out.len()];
-                dispatch!(level, _simd => depth_row(w, nothing, out));
+            if reached && self.palette.channels.phantoms {
+                let shield = &slot.shield;
+                dispatch!(self.level, _simd => sheets.shield.write_depth(shield, self.palette.nothing, rect));
             }
         }
     }
 }
 
-/// Depth and color.
-fn write_color(
-    level: Level,
-    palette: &Palette<'_>,
-    bands: &mut [PlaneMut<'_, u8>; 3],
-    depth: &mut PlaneMut<'_, f32>,
-    columns: std::ops::Range<usize>,
-    fate: &Fate<'_>,
-) {
-    let write = |y: usize, depth: &mut [f32], [r, g, b]: [&mut [u8]; 3]| match fate {
-        Fate::Clear => {
-            depth.fill(f32::INFINITY);
-            [r, g, b].into_iter().for_each(|row| row.fill(0));
+/// Rows of a plane; none where the layer does not have it.
+#[derive(Default)]
+struct Sheet<'a, T> {
+    samples: &'a mut [T],
+    stride: usize,
+}
+
+impl<'a, T: Copy> Sheet<'a, T> {
+    fn of(plane: &'a mut Plane<T>) -> Self {
+        Self { stride: plane.stride(), samples: plane.samples_mut() }
+    }
+
+    /// The first rows of tiles, and the others.
+    fn split(self, rows: usize) -> (Self, Self) {
+        let Self { samples, stride } = self;
+        let (above, below) = samples.split_at_mut((rows * TILE * stride).min(samples.len()));
+        (Self { samples: above, stride }, Self { samples: below, stride })
+    }
+
+    #[inline(always)]
+    fn row(&mut self, y: usize, columns: Range<usize>) -> &mut [T] {
+        let first = y * self.stride;
+        self.samples.get_mut(first + columns.start..first + columns.end).unwrap_or_default()
+    }
+
+    fn fill(&mut self, rect: Rect, value: T) {
+        (0..rect.y1 - rect.y0).for_each(|y| self.row(y, rect.x0..rect.x1).fill(value));
+    }
+}
+
+impl Sheet<'_, f32> {
+    #[inline(always)]
+    fn write_depth(&mut self, w: &[f32], nothing: f32, rect: Rect) {
+        for y in 0..rect.y1 - rect.y0 {
+            depth_row(&w[y * STRIDE..][..STRIDE], nothing, self.row(y, rect.x0..rect.x1));
         }
-        Fate::Draw(slot) => {
-            dispatch!(level, simd => shade_row(simd, palette, slot, y, depth, [r, g, b]));
+    }
+}
+
+/// Rows of the layer's planes, from the same one on.
+struct Sheets<'a> {
+    color: [Sheet<'a, u8>; 3],
+    depth: Sheet<'a, f32>,
+    depth2: Sheet<'a, f32>,
+    normal: [Sheet<'a, f32>; 3],
+    normal2: [Sheet<'a, f32>; 3],
+    shield: Sheet<'a, f32>,
+}
+
+impl Sheets<'_> {
+    /// The first rows of tiles, and the others.
+    fn split(self, rows: usize) -> (Self, Self) {
+        fn three<'a, T: Copy>(sheets: [Sheet<'a, T>; 3], rows: usize) -> [[Sheet<'a, T>; 3]; 2] {
+            let [(a, d), (b, e), (c, f)] = sheets.map(|sheet| sheet.split(rows));
+            [[a, b, c], [d, e, f]]
         }
-    };
-    for y in 0..depth.size().height {
-        let color = bands.each_mut().map(|band| &mut band.row_mut(y)[columns.clone()]);
-        write(y, &mut depth.row_mut(y)[columns.clone()], color);
+        let (depth, depth2, shield) =
+            (self.depth.split(rows), self.depth2.split(rows), self.shield.split(rows));
+        let [above, below] = three(self.color, rows);
+        let [normal, more] = three(self.normal, rows);
+        let [normal2, more2] = three(self.normal2, rows);
+        (
+            Self { color: above, depth: depth.0, depth2: depth2.0, normal, normal2, shield: shield.0 },
+            Self {
+                color: below,
+                depth: depth.1,
+                depth2: depth2.1,
+                normal: more,
+                normal2: more2,
+                shield: shield.1,
+            },
+        )
+    }
+
+    fn clear(&mut self, rect: Rect) {
+        self.color.iter_mut().for_each(|sheet| sheet.fill(rect, 0));
+        self.depth.fill(rect, f32::INFINITY);
+        self.depth2.fill(rect, f32::INFINITY);
+        self.normal.iter_mut().chain(&mut self.normal2).for_each(|sheet| sheet.fill(rect, 0.0));
+    }
+
+    #[inline(always)]
+    fn write<S: Simd>(&mut self, simd: S, palette: &Palette<'_>, slot: &Slot, rect: Rect) {
+        let (columns, nothing) = (rect.x0..rect.x1, palette.nothing);
+        if self.color[0].samples.is_empty() {
+            self.depth.write_depth(&slot.w, nothing, rect);
+        } else {
+            let [r, g, b] = &mut self.color;
+            for y in 0..rect.y1 - rect.y0 {
+                let out = [r.row(y, columns.clone()), g.row(y, columns.clone()), b.row(y, columns.clone())];
+                shade_row(simd, palette, slot, y, self.depth.row(y, columns.clone()), out);
+            }
+        }
+        let first = palette.channels.normal_at();
+        if let (false, [x, y, z, ..]) = (self.normal[0].samples.is_empty(), &slot.attributes[first..]) {
+            write_normals(&slot.w, nothing, [x, y, z], &mut self.normal, rect);
+        }
+        if !self.normal2[0].samples.is_empty() {
+            self.depth2.write_depth(&slot.w2, nothing, rect);
+            let [x, y, z] = &slot.normal2;
+            write_normals(&slot.w2, nothing, [x, y, z], &mut self.normal2, rect);
+        }
+    }
+}
+
+#[inline(always)]
+fn write_normals(w: &[f32], nothing: f32, from: [&[f32]; 3], to: &mut [Sheet<'_, f32>; 3], rect: Rect) {
+    let [x, y, z] = to;
+    for row in 0..rect.y1 - rect.y0 {
+        let (part, columns) = (row * STRIDE..row * STRIDE + rect.x1 - rect.x0, rect.x0..rect.x1);
+        let from = [&from[0][part.clone()], &from[1][part.clone()], &from[2][part.clone()]];
+        let out = [x.row(row, columns.clone()), y.row(row, columns.clone()), z.row(row, columns)];
+        unit_row(&w[part], nothing, from, out);
     }
 }
 

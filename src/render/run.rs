@@ -1,9 +1,41 @@
 //! A run of pixels in a row of a tile: the depth test, and what is kept of the nearest and second-nearest surface.
 
-use super::edges::Slope;
-use super::tile::{Channels, Slot};
-use super::vertex::narrow;
-use fearless_simd::{Simd, f64x4, prelude::*};
+use super::edges::{Slope, Slopes};
+use super::tile::{AREA, Channels, Slot};
+use fearless_simd::{Simd, prelude::*};
+
+/// The pixels of a slot, plane by plane; those that the frame does not keep are empty.
+pub(super) struct Pixels<'a> {
+    w: &'a mut [f32; AREA],
+    light: Option<&'a mut [f32; AREA]>,
+    normal: [&'a mut [f32]; 3],
+    /// Texture coordinates and vertex color.
+    others: &'a mut [Vec<f32>],
+    surface: &'a mut [i32],
+    w2: &'a mut [f32],
+    normal2: [&'a mut [f32]; 3],
+    shield: &'a mut [f32],
+}
+
+impl<'a> Pixels<'a> {
+    /// `None` when the slot has no room.
+    pub fn of(slot: &'a mut Slot, channels: Channels) -> Option<Self> {
+        let (light, more) = slot.attributes.split_at_mut(channels.normal_at());
+        let (normal, others) = more.split_at_mut(channels.uv_at() - channels.normal_at());
+        let mut normal = normal.iter_mut();
+        let mut next = || normal.next().map(Vec::as_mut_slice).unwrap_or_default();
+        Some(Self {
+            w: slot.w.first_chunk_mut()?,
+            light: light.first_mut().and_then(|plane| plane.first_chunk_mut()),
+            normal: [next(), next(), next()],
+            others,
+            surface: &mut slot.surface,
+            w2: &mut slot.w2,
+            normal2: slot.normal2.each_mut().map(Vec::as_mut_slice),
+            shield: &mut slot.shield,
+        })
+    }
+}
 
 /// A value along a row.
 #[derive(Clone, Copy)]
@@ -35,18 +67,24 @@ impl<S: Simd> Run<S> {
         value.store_slice(&mut plane[self.at..self.at + S::f32s::LEN]);
     }
 
+    /// Stores the value where it wins.
+    #[inline(always)]
+    fn keep(&self, simd: S, wins: S::mask32s, value: S::f32s, plane: &mut [f32]) {
+        self.store(wins.select(value, self.load(simd, plane)), plane);
+    }
+
     /// Where there is light and nothing else.
     #[inline(always)]
-    pub fn draw_plain(&self, simd: S, light: Line<S::f32s>, slot: &mut Slot) {
-        let before = self.load(simd, &slot.w);
-        let wins = self.inside & self.here.simd_gt(before);
-        if wins.any_true()
-            && let Some(plane) = slot.attributes.first_mut()
-        {
-            self.store(wins.select(self.here, before), &mut slot.w);
-            let new = S::f32s::simd_from(simd, light.start) + self.xs * light.right;
-            self.store(wins.select(new, self.load(simd, plane)), plane);
-        }
+    pub fn draw_plain(&self, simd: S, light: Line<S::f32s>, pixels: &mut Pixels<'_>) {
+        let Some(lights) = pixels.light.as_mut() else { return };
+        let (before, old) = (self.load(simd, &*pixels.w), self.load(simd, &**lights));
+        // 1/z is never below 0. Compilers make masked stores of a plane that is read, selected from and written: slow
+        // where the next triangle reads it
+        let here = self.inside.select(self.here, S::f32s::simd_from(simd, 0.0));
+        let wins = here.simd_gt(before);
+        let new = S::f32s::simd_from(simd, light.start) + self.xs * light.right;
+        self.store(before.max(here), pixels.w);
+        self.store(wins.select(new, old), &mut **lights);
     }
 
     /// Where there are both layers and no more than light beside.
@@ -54,40 +92,38 @@ impl<S: Simd> Run<S> {
     pub fn draw_both(
         &self,
         simd: S,
-        [origin, _, down]: &[f64x4<S>; 3],
+        slopes: &Slopes<S>,
         right: &[S::f32s; 4],
         face: f32,
-        channels: Channels,
-        slot: &mut Slot,
+        pixels: &mut Pixels<'_>,
     ) {
         let (here, inside) = (self.here, self.inside);
-        let (before, before2) = (self.load(simd, &slot.w), self.load(simd, &slot.w2));
+        let (before, before2) = (self.load(simd, &*pixels.w), self.load(simd, pixels.w2));
         let wins = inside & here.simd_gt(before);
         // a fragment behind the first may be the second; a new first makes the old one second
         let behind = inside & here.simd_lt(before) & here.simd_gt(before2);
-        let any = wins.any_true();
-        if !any && behind.all_false() {
+        if (wins | behind).all_false() {
             return;
         }
-        let dy = f64x4::splat(simd, f64::from(self.y));
-        let start = narrow(simd, *origin + *down * dy);
-        self.store(wins.select(before, behind.select(here, before2)), &mut slot.w2);
-        self.store(wins.select(here, before), &mut slot.w);
-        let lit = channels.light;
-        let (light, normals) = slot.attributes.split_at_mut(usize::from(lit));
-        for ((k, first), second) in normals.iter_mut().enumerate().zip(&mut slot.normal2) {
+        let start = slopes.at(simd, f64::from(self.y));
+        let light = pixels.light.as_mut();
+        let old_light = light.as_ref().map_or(here, |light| self.load(simd, &***light));
+        self.store(wins.select(before, behind.select(here, before2)), pixels.w2);
+        self.store(wins.select(here, before), pixels.w);
+        for k in 0..3 {
+            let (first, second) = (&mut *pixels.normal[k], &mut *pixels.normal2[k]);
             let new = S::f32s::simd_from(simd, start[k]) + self.xs * right[k];
             let (old, old2) = (self.load(simd, first), self.load(simd, second));
             self.store(wins.select(old, behind.select(new, old2)), second);
             self.store(wins.select(new, old), first);
         }
-        if any && let Some(plane) = light.first_mut() {
+        if let Some(light) = light {
             let new = if face >= 0.0 {
                 S::f32s::simd_from(simd, face)
             } else {
                 S::f32s::simd_from(simd, start[3]) + self.xs * right[3]
             };
-            self.store(wins.select(new, self.load(simd, plane)), plane);
+            self.store(wins.select(new, old_light), &mut **light);
         }
     }
 
@@ -99,10 +135,10 @@ impl<S: Simd> Run<S> {
 
     /// Keeps what a phantom hides.
     #[inline(always)]
-    pub fn hide(&self, simd: S, slot: &mut Slot) {
-        let before = self.load(simd, &slot.shield);
+    pub fn hide(&self, simd: S, pixels: &mut Pixels<'_>) {
+        let before = self.load(simd, pixels.shield);
         let nearer = self.inside & self.here.simd_gt(before);
-        self.store(nearer.select(self.here, before), &mut slot.shield);
+        self.store(nearer.select(self.here, before), pixels.shield);
     }
 
     #[inline(always)]
@@ -113,49 +149,46 @@ impl<S: Simd> Run<S> {
         channels: Channels,
         light: Line<S::f32s>,
         others: &[Slope],
-        slot: &mut Slot,
+        pixels: &mut Pixels<'_>,
     ) {
         let (here, mut inside) = (self.here, self.inside);
         if channels.phantoms {
-            inside &= here.simd_gt(self.load(simd, &slot.shield));
+            inside &= here.simd_gt(self.load(simd, pixels.shield));
         }
-        let before = self.load(simd, &slot.w);
+        let before = self.load(simd, &*pixels.w);
         let wins = inside & here.simd_gt(before);
         let any = wins.any_true();
         if channels.second {
             // a fragment behind the first may be the second; a new first makes the old one second
-            let before2 = self.load(simd, &slot.w2);
+            let before2 = self.load(simd, pixels.w2);
             let behind = inside & here.simd_lt(before) & here.simd_gt(before2);
             if !any && behind.all_false() {
                 return;
             }
-            self.store(wins.select(before, behind.select(here, before2)), &mut slot.w2);
-            let firsts = slot.attributes.iter_mut().skip(channels.normal_at());
-            for ((slope, first), second) in others.iter().zip(firsts).zip(&mut slot.normal2) {
+            self.store(wins.select(before, behind.select(here, before2)), pixels.w2);
+            for ((slope, first), second) in others.iter().zip(&pixels.normal).zip(&mut pixels.normal2) {
                 let (old, old2) = (self.load(simd, first), self.load(simd, second));
                 let new = self.value(simd, slope);
                 self.store(wins.select(old, behind.select(new, old2)), second);
-                self.store(wins.select(new, old), first);
             }
         }
         if !any {
             return;
         }
-        self.store(wins.select(here, before), &mut slot.w);
-        let mut planes = slot.attributes.iter_mut();
-        if channels.light
-            && let Some(plane) = planes.next()
-        {
+        self.store(wins.select(here, before), pixels.w);
+        if let Some(plane) = pixels.light.as_mut() {
             let new = S::f32s::simd_from(simd, light.start) + self.xs * light.right;
-            self.store(wins.select(new, self.load(simd, plane)), plane);
+            self.keep(simd, wins, new, &mut **plane);
         }
-        // the second layer has seen to the normals
-        let done = if channels.second { 3 } else { 0 };
-        for (slope, plane) in others.iter().zip(planes).skip(done) {
-            self.store(wins.select(self.value(simd, slope), self.load(simd, plane)), plane);
+        let (normals, others) = others.split_at(if channels.normals { 3 } else { 0 });
+        for (slope, plane) in normals.iter().zip(&mut pixels.normal) {
+            self.keep(simd, wins, self.value(simd, slope), plane);
+        }
+        for (slope, plane) in others.iter().zip(&mut *pixels.others) {
+            self.keep(simd, wins, self.value(simd, slope), plane);
         }
         if channels.surfaces {
-            let ids = &mut slot.surface[self.at..self.at + S::i32s::LEN];
+            let ids = &mut pixels.surface[self.at..self.at + S::i32s::LEN];
             let own = S::i32s::simd_from(simd, surface as i32);
             wins.select(own, S::i32s::from_slice(simd, ids)).store_slice(ids);
         }

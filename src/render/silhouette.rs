@@ -9,7 +9,7 @@
 //! Lines are OpenGL's: one step along the longer axis (x where equal), `line_width` pixels across the other, depth
 //! linear in 1/z along the line. Everything in f64, in bands of tile rows that nothing is shared between.
 
-use super::tile::{STRIDE, Slot};
+use super::tile::ROW_WORDS;
 use super::vertex::{NO_SPOT, Vertex};
 use super::{Instance, View, clip};
 use crate::frame::Layer;
@@ -24,9 +24,6 @@ const TOLERANCE: f64 = 1e-3;
 
 /// Lines that room is kept for from the start, at most.
 const KEPT_LINES: usize = 1 << 16;
-
-/// Tiles in a row at most (pictures are at most 16384 px wide), in words of 64.
-const ROW_WORDS: usize = super::MAX_SIDE / TILE / 64;
 
 /// A point of a line: picture position in px and 1/z.
 #[derive(Clone, Copy)]
@@ -93,18 +90,11 @@ impl Silhouette {
         self.shield.resize(Size::new(0, 0), 0.0);
     }
 
-    /// Takes from the tiles what phantoms hide.
-    pub fn take_shield(&mut self, slots: &[Slot], grid: TileGrid, size: Size, nothing: f32) {
+    /// Where what phantoms hide is written, far away everywhere.
+    pub fn shield(&mut self, size: Size) -> &mut Plane<f32> {
         self.shield.resize(size, f32::INFINITY);
         self.shield.fill(f32::INFINITY);
-        for slot in slots {
-            let area = grid.rect(slot.tile);
-            for (y, row) in (area.y0..area.y1).zip(slot.shield.chunks_exact(STRIDE)) {
-                for (z, &w) in self.shield.row_mut(y)[area.x0..area.x1].iter_mut().zip(row) {
-                    *z = if w > nothing { 1.0 / w } else { f32::INFINITY };
-                }
-            }
-        }
+        &mut self.shield
     }
 
     /// Draws the listed lines over the layer's depth, after wiping what the tiles of `previous` held; adds the tiles

@@ -8,6 +8,8 @@ use fearless_simd::{Simd, SimdBase, i32x8, mask32x8, prelude::*};
 pub(super) const BATCH: usize = 8;
 /// What small means, in 1/256 px: products of differences fit in 32 bits.
 pub(super) const SMALL: i32 = 1 << 14;
+/// Boxes of at most so many pixel centers a side: each of them is tried.
+pub(super) const LITTLE: i32 = 4;
 /// Of a pixel coordinate's bits, those within a tile.
 const TILE_SHIFT: u32 = TILE.trailing_zeros();
 
@@ -26,7 +28,7 @@ pub(super) struct Rules {
 
 /// A batch of triangles by their spots; a bit a triangle.
 pub(super) struct Sorted {
-    /// Small ones that may cover a pixel center and are not culled.
+    /// Small ones that may cover a pixel center, and are not culled; those in little boxes do.
     pub small: u32,
     /// Those that must be looked at singly.
     pub others: u32,
@@ -37,6 +39,8 @@ pub(super) struct Sorted {
     pub highs: [i32; BATCH],
     /// The tile that holds them, or `SEVERAL`.
     pub tiles: [i32; BATCH],
+    /// The centers that those in little boxes cover, row by row, a bit each; 0 for all others.
+    pub covers: [i32; BATCH],
 }
 
 /// Not one tile.
@@ -76,24 +80,30 @@ impl Sorted {
         let kept = if rules.cull_back { front } else { !area.simd_eq(of(0)) };
         let mut alive = kept & !empty & !others;
         let (wide, high) = (right - left, bottom - top);
-        let tiny = alive & wide.simd_le(of(1)) & high.simd_le(of(1));
-        if tiny.any_true() {
+        let little = alive & wide.simd_lt(of(LITTLE)) & high.simd_lt(of(LITTLE));
+        let mut covers = of(0);
+        if little.any_true() {
             // wound clockwise
             let (p, q) = (pick(front, c, b), pick(front, b, c));
             let corner = (left << 8, top << 8);
             let (e0, r0, d0) = edge(simd, corner, a, p);
             let (e1, r1, d1) = edge(simd, corner, p, q);
             let (e2, r2, d2) = edge(simd, corner, q, a);
-            let (wide, high) = (wide << 8, high << 8);
-            let (r0, r1, r2) = (r0 * wide, r1 * wide, r2 * wide);
-            let (d0, d1, d2) = (d0 * high, d1 * high, d2 * high);
-            let covered = (e0 | e1 | e2).simd_ge(of(0))
-                | ((e0 + r0) | (e1 + r1) | (e2 + r2)).simd_ge(of(0))
-                | ((e0 + d0) | (e1 + d1) | (e2 + d2)).simd_ge(of(0))
-                | ((e0 + r0 + d0) | (e1 + r1 + d1) | (e2 + r2 + d2)).simd_ge(of(0));
-            alive &= covered | !tiny;
+            let edges = [[e0, r0 << 8, d0 << 8], [e1, r1 << 8, d1 << 8], [e2, r2 << 8, d2 << 8]];
+            // most batches have no more than two a side
+            let more = little & (wide | high).simd_gt(of(1));
+            let outside = if more.any_true() {
+                outside::<S, LITTLE>(simd, edges)
+            } else {
+                outside::<S, 2>(simd, edges)
+            };
+            let columns = pick_side(simd, wide, [0x1111, 0x3333, 0x7777, 0xffff]);
+            let rows = pick_side(simd, high, [0xf, 0xff, 0xfff, 0xffff]);
+            covers = little.select(columns & rows & !outside, of(0));
+            alive &= !(little & covers.simd_eq(of(0)));
         }
-        let (mut lows, mut highs, mut tiles) = ([0; BATCH], [0; BATCH], [0; BATCH]);
+        let (mut lows, mut highs, mut tiles, mut inside) = ([0; BATCH], [0; BATCH], [0; BATCH], [0; BATCH]);
+        covers.store_slice(&mut inside);
         (left | (top << 16)).store_slice(&mut lows);
         (right | (bottom << 16)).store_slice(&mut highs);
         let one = ((left ^ right) | (top ^ bottom)).simd_lt(of(TILE as i32));
@@ -106,6 +116,7 @@ impl Sorted {
             lows,
             highs,
             tiles,
+            covers: inside,
         }
     }
 }
@@ -119,6 +130,39 @@ fn apart<S: Simd>(simd: S, spots: &[Spot; BATCH]) -> Side<S> {
 #[inline(always)]
 fn pick<S: Simd>(mask: mask32x8<S>, yes: Side<S>, no: Side<S>) -> Side<S> {
     (mask.select(yes.0, no.0), mask.select(yes.1, no.1))
+}
+
+/// The pixel centers of a box of so many a side that are outside of any of the edges, a bit each, four a row.
+#[inline(always)]
+fn outside<S: Simd, const SIDE: i32>(
+    simd: S,
+    [[e0, r0, d0], [e1, r1, d1], [e2, r2, d2]]: [[i32x8<S>; 3]; 3],
+) -> i32x8<S> {
+    // from the last center to the first, which takes the lowest bit
+    let last = i32x8::splat(simd, SIDE - 1);
+    let (mut e0, mut e1, mut e2) = (e0 + (r0 + d0) * last, e1 + (r1 + d1) * last, e2 + (r2 + d2) * last);
+    let mut outside = i32x8::splat(simd, 0);
+    for _ in 0..SIDE {
+        outside <<= (LITTLE - SIDE) as u32;
+        let (mut f0, mut f1, mut f2) = (e0, e1, e2);
+        for _ in 0..SIDE {
+            // 0 or -1
+            outside = outside + outside - ((f0 | f1 | f2) >> 31);
+            (f0, f1, f2) = (f0 - r0, f1 - r1, f2 - r2);
+        }
+        (e0, e1, e2) = (e0 - d0, e1 - d1, e2 - d2);
+    }
+    outside
+}
+
+/// The entry that `last`, 0 to 3, names.
+#[inline(always)]
+fn pick_side<S: Simd>(simd: S, last: i32x8<S>, of: [i32; LITTLE as usize]) -> i32x8<S> {
+    let is = [i32x8::splat(simd, of[0]), i32x8::splat(simd, of[1]), i32x8::splat(simd, of[2])];
+    let (one, two) = (i32x8::splat(simd, 1), i32x8::splat(simd, 2));
+    let more = last.simd_eq(two).select(is[2], i32x8::splat(simd, of[3]));
+    let less = last.simd_eq(one).select(is[1], is[0]);
+    last.simd_gt(one).select(more, less)
 }
 
 /// An edge function at a pixel center, below 0 outside by the fill rule, and its steps for 1/256 px.
@@ -199,16 +243,23 @@ mod tests {
                     let [[x0, y0], [x1, y1], [x2, y2]] = p.map(|spot| spot.map(i64::from));
                     let area = (x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0);
                     let wound = if area < 0 { [p[0], p[2], p[1]] } else { p };
-                    let hit = (first[1]..=last[1]).any(|y| (first[0]..=last[0]).any(|x| covers(wound, x, y)));
+                    let mut inside = 0;
+                    for (y, row) in (first[1]..=last[1]).zip(0..) {
+                        for (x, column) in (first[0]..=last[0]).zip(0..) {
+                            inside |= u128::from(covers(wound, x, y)) << (LITTLE * row + column).min(127);
+                        }
+                    }
+                    let hit = inside != 0;
                     let drawn = area != 0 && !empty && !(rules.cull_back && area > 0);
                     // what covers a center is kept; what does not is dropped in small boxes
-                    let tiny = (0..2).all(|i| last[i] - first[i] <= 1);
+                    let tiny = (0..2).all(|i| last[i] - first[i] < i64::from(LITTLE));
                     assert_eq!(is(sorted.small), drawn && (hit || !tiny), "{p:?} {}", simd::name(level));
                     dead += usize::from(drawn && !hit && tiny);
                     if !is(sorted.small) {
                         continue;
                     }
                     kept += 1;
+                    assert_eq!(sorted.covers[k] as u128, if tiny { inside } else { 0 });
                     assert_eq!(is(sorted.front), area < 0);
                     let halves = |v: i32| [i64::from(v & 0xffff), i64::from(v >> 16)];
                     assert_eq!((halves(sorted.lows[k]), halves(sorted.highs[k])), (first, last));

@@ -4,16 +4,16 @@
 
 use super::bins::Chunk;
 use super::field::Field;
-use super::raster;
+use super::resolve::Painter;
 use super::shade::{Kind, Palette, Surface};
 use super::shape::{CLUSTER, Frustum, Shapes};
 use super::silhouette::Silhouette;
 use super::tile::{self, Channels, Slot};
 use super::vertex::{self, Depths, Stand, Vertices};
 use super::{Camera, Look, Part, Placed, Work};
-use crate::frame::Needs;
-use crate::pixels::TileGrid;
+use crate::frame::{Layer, Needs};
 use crate::pixels::simd::Level;
+use crate::pixels::{TileGrid, TileSet};
 use crate::scene::{Model, Scene, Shading};
 use rayon::prelude::*;
 
@@ -65,23 +65,24 @@ pub(super) struct Stages {
     surfaces: Vec<Surface>,
     vertices: Vertices,
     chunks: Vec<Chunk>,
-    /// One for each tile of the picture.
-    slots: Vec<Slot>,
-    /// How many slots hold tiles, and what of their pixels.
+    /// How many chunks the frame has.
     used: usize,
+    /// One for each row of tiles of the picture.
+    slots: Vec<Slot>,
+    /// What of pixels is kept.
     channels: Channels,
     /// What all slots have room for; `None` when they have none.
     fitted: Option<Channels>,
 }
 
 impl Stages {
-    /// Takes pictures of this many tiles.
-    pub fn resize(&mut self, tiles: usize) {
-        if self.slots.len() == tiles {
+    /// Takes pictures of this many rows of tiles.
+    pub fn resize(&mut self, rows: usize) {
+        if self.slots.len() == rows {
             return; // other products, the same tiles
         }
         self.slots.clear();
-        self.slots.resize_with(tiles, Slot::default);
+        self.slots.resize_with(rows, Slot::default);
         self.fitted = None;
     }
 
@@ -92,20 +93,29 @@ impl Stages {
         self.surfaces.clear();
     }
 
-    /// The tiles that were drawn.
-    pub fn slots(&self) -> &[Slot] {
-        &self.slots[..self.used]
+    /// Draws what was sorted into the layer, all tiles that it or the last frame touches; `shot` is that of `sort`,
+    /// if there was any.
+    pub fn paint(
+        &mut self,
+        level: Level,
+        (scene, camera): (&Scene, &Camera),
+        shot: Option<Shot<'_>>,
+        layer: &mut Layer,
+        previous: &TileSet,
+        lines: Option<&mut Silhouette>,
+    ) {
+        let Self { shapes, instances, surfaces, vertices, chunks, used, slots, channels, .. } = self;
+        let (channels, nothing) = (*channels, tile::nothing(camera.far));
+        let view = shot.map(|shot| View { shot, instances, shapes, vertices, channels, nothing });
+        let palette = Palette { scene, surfaces, channels, nothing };
+        let painter = Painter { level, view, chunks: &chunks[..*used], palette, previous };
+        let shield = lines.filter(|_| channels.phantoms).map(|lines| lines.shield(camera.lens.size));
+        painter.paint(layer, shield, slots);
     }
 
-    /// What their pixels are shaded with.
-    pub fn palette<'a>(&'a self, scene: &'a Scene, camera: &Camera) -> Palette<'a> {
-        let nothing = tile::nothing(camera.far);
-        Palette { scene, surfaces: &self.surfaces, channels: self.channels, nothing }
-    }
-
-    /// Draws the placed models of a part into tiles, and finds their outlines where `lines` are wanted. Gives nearest
+    /// Sorts the placed models of a part into tiles, and finds their outlines where `lines` are wanted. Gives nearest
     /// and farthest camera z, and what it took.
-    pub fn run(
+    pub fn sort(
         &mut self,
         level: Level,
         shot: &Shot<'_>,
@@ -117,7 +127,7 @@ impl Stages {
         self.shapes.learn(scene);
         let vertex_count = self.list(shot, placed, part);
         let length = self.make_room(shot);
-        let Self { shapes, instances, vertices, chunks, slots, channels, .. } = self;
+        let Self { shapes, instances, vertices, chunks, channels, .. } = self;
         vertices.resize(vertex_count, *channels);
         let mut depths = Depths::NONE;
         for instance in instances.iter() {
@@ -152,17 +162,6 @@ impl Stages {
         let triangles = chunks.iter().map(|chunk| chunk.sorted).sum();
         let work = Work { frames: 0, models: view.instances.len(), vertices: vertex_count, triangles };
 
-        let (chunks, mut used) = (&*chunks, 0);
-        for tile in 0..grid.count() {
-            let (column, row) = (tile % grid.columns(), tile / grid.columns());
-            if chunks.iter().any(|chunk| chunk.reaches(tile, column, row)) {
-                slots[used].tile = tile;
-                used += 1;
-            }
-        }
-        slots[..used].par_iter_mut().with_max_len(1).for_each(|slot| {
-            raster::draw_tile(level, &view, chunks, slot);
-        });
         self.used = used;
         (extent(depths, camera), work)
     }

@@ -6,8 +6,11 @@ use crate::pixels::TILE;
 /// Pixels from one row to the next: runs may reach past a tile's right edge, and what they leave there is junk.
 pub(super) const STRIDE: usize = TILE + 8;
 
+/// Tiles in a row at most, in words of 64.
+pub(super) const ROW_WORDS: usize = super::MAX_SIDE / TILE / 64;
+
 /// Pixels of a slot.
-const AREA: usize = STRIDE * TILE;
+pub(super) const AREA: usize = STRIDE * TILE;
 
 /// What the frame keeps of a pixel beside 1/z.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -66,13 +69,12 @@ impl Channels {
     }
 }
 
-/// The pixels of one tile while it is drawn; row by row, `STRIDE` from one to the next.
+/// The pixels of one tile while it is drawn; row by row, `STRIDE` from one to the next. The tiles of a row of tiles
+/// are drawn in the same slot, one after the other.
 #[derive(Default)]
 pub(super) struct Slot {
-    /// The tile of the picture.
-    pub tile: usize,
-    /// Whether any pixel inside the picture is covered.
-    pub covered: bool,
+    /// The columns of tiles with a covered pixel inside the picture, a bit each.
+    pub covered: [u64; ROW_WORDS],
     /// 1/z of the nearest surface, `nothing` where there is none.
     pub w: Vec<f32>,
     /// Its attributes over z, in the order of the frame's `Channels`; unspecified where there is no surface.

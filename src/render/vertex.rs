@@ -21,7 +21,7 @@ pub(super) type Spot = [i32; 2];
 pub(super) const NO_SPOT: Spot = [i32::MIN; 2];
 
 /// A vertex before the lens.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Vertex {
     /// Picture position, px.
     pub x: f64,
@@ -29,16 +29,8 @@ pub(super) struct Vertex {
     pub y: f64,
     /// 1/z in 1/mm; 0 where the triangle must be cut first, NaN where the vertex is not finite.
     pub w: f64,
-    /// max(0, n·L) in 0..1.
-    pub intensity: f32,
-    /// Its place snapped, or `NO_SPOT`.
-    pub spot: Spot,
-}
-
-impl Default for Vertex {
-    fn default() -> Self {
-        Self { x: 0.0, y: 0.0, w: 0.0, intensity: 0.0, spot: NO_SPOT }
-    }
+    /// max(0, n·L) in 0..1, rounded to f32.
+    pub intensity: f64,
 }
 
 impl Vertex {
@@ -54,16 +46,23 @@ impl Vertex {
         }
         let w = 1.0 / point.z;
         let Some(px) = field.project(point.x * w, point.y * w) else { return nowhere(0.0) };
-        let spot = [px.x, px.y].map(|v| (v * SUBPIXELS + 0.5).floor() as i32);
-        Self { x: px.x, y: px.y, w, intensity: 0.0, spot }
+        Self { x: px.x, y: px.y, w, intensity: 0.0 }
+    }
+
+    /// Its place snapped, or `NO_SPOT`.
+    #[inline]
+    pub fn spot(&self) -> Spot {
+        let seen = self.w > 0.0;
+        if seen { [self.x, self.y].map(|v| (v * SUBPIXELS + 0.5).floor() as i32) } else { NO_SPOT }
     }
 }
 
 /// The frame's vertices, those of all instances one after the other.
 #[derive(Default)]
 pub(super) struct Vertices {
-    pub spots: Vec<Spot>,
     pub places: Vec<Vertex>,
+    /// Theirs.
+    pub spots: Vec<Spot>,
     /// Unit normals in camera space, and intensity once more; empty when no channel wants them.
     pub normals: Vec<[f32; 4]>,
 }
@@ -196,7 +195,9 @@ fn place_run<S: Simd>(
         // the sum's last 32 bits are the whole number
         let magic = f64x4::splat(simd, 6_755_399_441_055_744.0);
         let half = f64x4::splat(simd, 0.5);
-        let (sx, sy) = ((px * SUBPIXELS + half).floor() + magic, (py * SUBPIXELS + half).floor() + magic);
+        let none = f64x4::splat(simd, f64::from(NO_SPOT[0]));
+        let sx = whole.select((px * SUBPIXELS + half).floor(), none) + magic;
+        let sy = whole.select((py * SUBPIXELS + half).floor(), none) + magic;
         let seen = whole.to_bitmask();
         let counted = points.len();
         if counted == BATCH && seen == 15 {
@@ -204,7 +205,7 @@ fn place_run<S: Simd>(
             most = most.simd_lt(w).select(w, most);
         }
 
-        let mut intensity = [0.0f32; BATCH];
+        let mut intensity = zero;
         if stand.lit {
             let n = turned(simd, &turn, gather(simd, given.get(at..).unwrap_or_default()));
             let length = (n[0] * n[0] + n[1] * n[1] + n[2] * n[2]).sqrt();
@@ -214,25 +215,40 @@ fn place_run<S: Simd>(
             let nz = known.select(n[2] / length, zero);
             let lit = nx * light.x + ny * light.y + nz * light.z;
             let lit = lit.simd_gt(zero).select(lit, zero);
-            narrow(simd, lit).store_slice(&mut intensity);
+            let rounded = narrow(simd, lit);
+            intensity = wide(simd, rounded);
             if let Some(normals) = normals.get_mut(at..at + counted) {
-                let (mut a, mut b, mut c) = ([0.0f32; BATCH], [0.0f32; BATCH], [0.0f32; BATCH]);
-                narrow(simd, nx).store_slice(&mut a);
-                narrow(simd, ny).store_slice(&mut b);
-                narrow(simd, nz).store_slice(&mut c);
-                for (k, normal) in normals.iter_mut().enumerate() {
-                    *normal = [a[k], b[k], c[k], intensity[k]];
+                let rows = [narrow(simd, nx), narrow(simd, ny), narrow(simd, nz), rounded];
+                let mut side = [0.0f32; 4 * BATCH];
+                simd.store_four_interleaved_f32x4(rows, &mut side);
+                for (normal, four) in normals.iter_mut().zip(side.chunks_exact(BATCH)) {
+                    normal.copy_from_slice(four);
                 }
             }
         }
-        let (x, y, w, sx, sy) = (px.to_array(), py.to_array(), w.to_array(), sx.to_array(), sy.to_array());
-        for (k, (spot, place)) in spots[at..].iter_mut().zip(&mut places[at..]).take(BATCH).enumerate() {
-            let snapped = [sx[k].to_bits() as i32, sy[k].to_bits() as i32];
-            *spot = if seen >> k & 1 == 1 { snapped } else { NO_SPOT };
-            *place = Vertex { x: x[k], y: y[k], w: w[k], intensity: intensity[k], spot: *spot };
+        // a row a vertex
+        let (xw, yi) = (px.interleave(w), py.interleave(intensity));
+        let ((a, b), (c, d)) = (xw.0.interleave(yi.0), xw.1.interleave(yi.1));
+        let rows = [a.to_array(), b.to_array(), c.to_array(), d.to_array()];
+        let (sx, sy) = (sx.to_array(), sy.to_array());
+        match (spots[at..].first_chunk_mut::<BATCH>(), places[at..].first_chunk_mut::<BATCH>()) {
+            (Some(spots), Some(places)) => {
+                for k in 0..BATCH {
+                    spots[k] = [sx[k].to_bits() as i32, sy[k].to_bits() as i32];
+                    let [x, y, w, intensity] = rows[k];
+                    places[k] = Vertex { x, y, w, intensity };
+                }
+            }
+            _ => {
+                for (k, (spot, place)) in spots[at..].iter_mut().zip(&mut places[at..]).enumerate() {
+                    *spot = [sx[k].to_bits() as i32, sy[k].to_bits() as i32];
+                    let [x, y, w, intensity] = rows[k];
+                    *place = Vertex { x, y, w, intensity };
+                }
+            }
         }
         if counted < BATCH || seen != 15 {
-            for &w in &w[..counted] {
+            for &w in &w.to_array()[..counted] {
                 cut |= w == 0.0;
                 if w > 0.0 {
                     (least[0], most[0]) = (least[0].min(w), most[0].max(w));
@@ -281,7 +297,12 @@ fn turned<S: Simd>(simd: S, m: &DMat3, [x, y, z]: Points<S>) -> Points<S> {
 
 #[inline(always)]
 pub(super) fn widen<S: Simd>(simd: S, v: [f32; BATCH]) -> f64x4<S> {
-    let (low, high) = simd.widen_f32x4(f32x4::simd_from(simd, v));
+    wide(simd, f32x4::simd_from(simd, v))
+}
+
+#[inline(always)]
+fn wide<S: Simd>(simd: S, v: f32x4<S>) -> f64x4<S> {
+    let (low, high) = simd.widen_f32x4(v);
     simd.combine_f64x2(low, high)
 }
 
@@ -329,16 +350,15 @@ mod tests {
                     let mut vertex = Vertex::project(point, 0.5, &field);
                     let normal = mesh.normals.get(k).copied().unwrap_or_default().as_dvec3();
                     let normal = unit(normal_matrix(&to_camera) * normal);
-                    vertex.intensity = normal.dot(light.as_dvec3()).max(0.0) as f32;
+                    vertex.intensity = f64::from(normal.dot(light.as_dvec3()).max(0.0) as f32);
                     let w = vertex.w;
                     let depth = if w > 0.0 { Depths { least: w, most: w, cut: false } } else { Depths::NONE };
                     expected = expected.join(Depths { cut: w == 0.0, ..depth });
-                    let bits = |v: Vertex| ([v.x, v.y, v.w].map(f64::to_bits), v.intensity.to_bits());
-                    assert_eq!(out.spots[k], vertex.spot, "vertex {k} {}", simd::name(level));
-                    assert_eq!(out.places[k].spot, vertex.spot, "vertex {k} {}", simd::name(level));
+                    let bits = |v: Vertex| [v.x, v.y, v.w, v.intensity].map(f64::to_bits);
+                    assert_eq!(out.spots[k], vertex.spot(), "vertex {k} {}", simd::name(level));
                     assert_eq!(bits(out.places[k]), bits(vertex), "vertex {k} {}", simd::name(level));
                     assert_eq!(Vec3::from_slice(&out.normals[k]), normal.as_vec3(), "vertex {k}");
-                    assert_eq!(out.normals[k][3], vertex.intensity, "vertex {k}");
+                    assert_eq!(f64::from(out.normals[k][3]), vertex.intensity, "vertex {k}");
                 }
                 assert_eq!(
                     (depths.least, depths.most, depths.cut),
