@@ -129,7 +129,7 @@ fn a_board_drives_the_visor() {
     // a press shows in a frame
     let mut frames = Vec::new();
     let mut took = Vec::new();
-    for style in ["cartoon", "plain", "cartoon"] {
+    for style in ["cartoon", "plain", "cartoon", "plain", "cartoon"] {
         board.order("down 1");
         let sent = board.until("BTN", |line| line.contains(" tx ") && line.contains("BTN 1 D"));
         let sent: u64 = sent.last().and_then(|line| line.split(' ').next()?.parse().ok()).expect("a time");
@@ -143,6 +143,10 @@ fn a_board_drives_the_visor() {
     }
     assert!(frames.windows(2).all(|pair| pair[0] < pair[1]), "{frames:?}");
     eprintln!("press to shown: {took:?} ms at 30 frames a second");
+    // two frames and the way there and back (the port is read every 4 ms, the simulator looks every 5); the least of five:
+    // a busy machine delays some
+    let least = took.iter().min().expect("presses");
+    assert!(*least <= 2 * 34 + 30, "press to shown: {took:?} ms");
 
     // the visor is not heard: the board sends again, and it counts once
     board.order("deaf 120");

@@ -36,6 +36,8 @@ pub struct Config {
     pub display: display::Config,
     /// Buttons on a serial line.
     pub serial: buttons::Config,
+    /// Keys of the kernel's input layer as buttons; off unless given.
+    pub keys: Option<buttons::keys::Config>,
     /// Scene files that presses step through, relative to this file; the first is shown first. Their tables (model,
     /// board, light, retouch, style, track) stand in place of this file's.
     pub scenes: Vec<PathBuf>,
@@ -143,6 +145,9 @@ impl Config {
         config.style.validate().map_err(|e| wrong(find_key(text, "style"), e.to_string()))?;
         if let Some(lens) = &config.lens {
             lens.check().map_err(|reason| wrong(find_key(text, "lens"), reason))?;
+        }
+        if let Some(keys) = &config.keys {
+            keys.check().map_err(|reason| wrong(find_key(text, "codes"), reason))?;
         }
         if let Some(governor) = &config.governor {
             governor.check().map_err(|reason| wrong(find_key(text, "budget_ms"), reason))?;

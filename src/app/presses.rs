@@ -8,7 +8,8 @@ use super::fault::Fault;
 use super::run::album::Album;
 use super::run::settings::{Cause, Settings};
 use super::run::tally::Tally;
-use crate::buttons::{Action, Ask, Config, Kind, Markers, Mode, Outcome, Port, PortError, Status};
+use crate::buttons::keys::Keys;
+use crate::buttons::{Action, Ask, Config, Kind, Markers, Mode, Outcome, Port, Status};
 use crate::frame::Sighting;
 use crate::pipeline::Pipeline;
 use crate::pixels::{Rgb, Size};
@@ -43,6 +44,9 @@ struct Done {
 /// The buttons, and what they have done.
 pub struct Presses {
     port: Option<Port>,
+    keys: Option<Keys>,
+    /// What was asked, while it is done.
+    asked: Vec<Ask>,
     config: Config,
     style: style::Config,
     scenes: usize,
@@ -62,11 +66,13 @@ pub struct Presses {
 
 impl Presses {
     /// Begins to listen, where the settings name a port. `scenes`: the names that may be asked for.
-    pub fn new(config: &Visor, scenes: Vec<String>) -> Result<Self, PortError> {
+    pub fn new(config: &Visor, scenes: Vec<String>) -> anyhow::Result<Self> {
         let names = StyleName::value_variants().iter().map(|style| style.name()).collect();
         let count = scenes.len();
         Ok(Self {
             port: Port::start(&config.serial, names, scenes, config.snapshot.is_some())?,
+            keys: config.keys.as_ref().map(|keys| Keys::start(keys, config.serial.wanted())).transpose()?,
+            asked: Vec::with_capacity(128),
             config: config.serial.clone(),
             style: config.style.clone(),
             scenes: count,
@@ -90,8 +96,10 @@ impl Presses {
         album: &mut Album,
         tally: &Tally,
     ) {
-        let Some(port) = self.port.take() else { return };
-        for ask in port.asked() {
+        let mut asked = std::mem::take(&mut self.asked);
+        asked.extend(self.port.iter().flat_map(Port::asked));
+        asked.extend(self.keys.iter().flat_map(Keys::asked));
+        for ask in asked.drain(..) {
             match ask {
                 Ask::Press(button, kind) => self.press(button, kind, pipeline, settings, album, tally),
                 Ask::Style(index) => {
@@ -111,7 +119,7 @@ impl Presses {
             }
         }
         tally.standby.set(u64::from(self.sleeps()));
-        self.port = Some(port);
+        self.asked = asked;
     }
 
     fn press(
@@ -215,7 +223,7 @@ impl Presses {
 
     /// The picture numbered `sequence` is shown: tells the board what presses did, and how the visor is.
     pub fn shown(&mut self, sequence: u64, tally: &Tally) {
-        let Some(port) = &self.port else { return };
+        let Some(port) = &self.port else { return self.done.clear() };
         for Done { button, action, outcome } in self.done.drain(..) {
             port.acted(button, action, outcome, sequence);
         }

@@ -32,7 +32,8 @@ impl Named {
             )
         };
         let number = |digits: Option<&str>| {
-            let digits = digits.filter(|d| (1..=4).contains(&d.len())).ok_or_else(wrong)?;
+            let hex = |d: &&str| (1..=4).contains(&d.len()) && d.bytes().all(|b| b.is_ascii_hexdigit());
+            let digits = digits.filter(hex).ok_or_else(wrong)?;
             u16::from_str_radix(digits, 16).map_err(|_| wrong())
         };
         let mut parts = rest.splitn(3, ':');

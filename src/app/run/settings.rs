@@ -270,6 +270,7 @@ fn at_next_start(began: &Config, now: &Config) -> Vec<&'static str> {
         ("camera", began.camera != now.camera),
         ("display", began.display != now.display),
         ("serial", began.serial != now.serial),
+        ("keys", began.keys != now.keys),
         ("snapshot", began.snapshot != now.snapshot),
         ("scenes", began.scenes != now.scenes),
     ];

@@ -261,6 +261,7 @@ mod tests {
         let size = Size::new(160, 120);
         let folder = std::env::temp_dir().join(format!("vernissage-slates-{}", std::process::id()));
         let mut config = Config::default();
+        config.style.name = crate::style::StyleName::Plain;
         (config.display.sink, config.display.path) = (Kind::Png, Some(folder.clone()));
         let (tally, words) = (Arc::<Tally>::default(), Arc::<Words>::default());
         tally.faults.raise(Fault::CameraGone);

@@ -119,7 +119,7 @@ impl Watch {
     fn watch(&mut self, mut source: Option<Source>) {
         let mut ladder = Ladder::new(self.interval(source.as_ref()), now());
         let mut numbering = Numbering::default();
-        let mut said = None;
+        let (mut said, mut away) = (None, source.is_none().then(now));
         let begun = if source.is_some() { Heard::Started } else { Heard::Failed(Cause::Gone) };
         let mut act = ladder.next(begun, now());
         while !self.ends() {
@@ -174,12 +174,19 @@ impl Watch {
             };
             match heard {
                 Heard::Picture => {
+                    if let Some(since) = away.take() {
+                        log::info!("camera: pictures again after {:?}", now() - since);
+                    }
                     self.tally.faults.only(&FAULTS, None);
                     self.tally.eye.set_state(CameraState::Run);
                 }
                 Heard::Silence => {
+                    away.get_or_insert(now());
                     self.tally.faults.only(&FAULTS, Some(Fault::CameraSilent));
                     self.tally.eye.set_state(CameraState::Open);
+                }
+                Heard::Failed(_) => {
+                    away.get_or_insert(now());
                 }
                 _ => {}
             }
