@@ -98,11 +98,11 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     if let Some(warning) = optics.lens(&config, size).1 {
         log::warn!("{warning}");
     }
+    let screen = Screen::open(&config.display, size, args.wait, tally.clone(), words.clone())?;
     if let Some(source) = &source {
         log::info!("camera {source}, style {}", config.style.name);
         words.set_camera(source.to_string());
     }
-    let screen = Screen::open(&config.display, size, args.wait, tally.clone(), words.clone())?;
     let pipeline = optics.pipeline(first);
     let presses = Presses::new(&config, names).context(Failed("cannot listen to the buttons"))?;
     let trace = args.trace.as_deref().map(trace::Writer::create).transpose()?;

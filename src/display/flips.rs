@@ -39,7 +39,7 @@ impl Flips {
     /// It was not, in time.
     pub(super) fn late(&mut self) {
         self.lost += 1;
-        self.reset = self.late % LATE == 0;
+        self.reset = self.late.is_multiple_of(LATE);
         self.late += 1;
     }
 

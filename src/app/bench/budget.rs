@@ -58,7 +58,9 @@ fn measure(args: &Args, style: StyleName, threads: usize, config: &Config) -> an
     let mut medians = Vec::new();
     for level in 0..levels {
         pipeline.set_quality(level);
-        bench.frames.iter().take(3).for_each(|frame| drop(pipeline.draw_frame(frame)));
+        for frame in bench.frames.iter().take(3) {
+            pipeline.draw_frame(frame);
+        }
         let mut all = Vec::new();
         for _ in 0..args.repeat {
             all.extend(bench.frames.iter().map(|frame| pipeline.draw_frame(frame).timings.frame()));
