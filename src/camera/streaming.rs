@@ -275,7 +275,10 @@ impl Stream {
             if unsafe { ioctl(&self.device, VIDIOC_DQEVENT, &mut event) }.is_err() {
                 break;
             }
-            self.changed |= event.type_ == sys::V4L2_EVENT_SOURCE_CHANGE;
+            // SAFETY: all variants are integers, zero where the kernel wrote less.
+            let changes = unsafe { event.u.src_change.changes };
+            let size = sys::V4L2_EVENT_SRC_CH_RESOLUTION;
+            self.changed |= event.type_ == sys::V4L2_EVENT_SOURCE_CHANGE && changes & size != 0;
             if event.pending == 0 {
                 break;
             }

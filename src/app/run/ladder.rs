@@ -115,7 +115,9 @@ impl Ladder {
                 (self.started, self.seen) = (now, false);
                 Act::Grab(self.patience())
             }
-            Heard::Failed(Cause::Changed) | Heard::Rested => Act::Open,
+            Heard::Rested => Act::Open,
+            // a driver that tells of a change at every start must not keep us busy
+            Heard::Failed(Cause::Changed) if self.seen => Act::Open,
             Heard::Failed(cause) => {
                 let most = if cause == Cause::Gone { PAUSE_GONE } else { PAUSE_MOST };
                 self.failures += 1;
@@ -199,6 +201,12 @@ mod tests {
                 (20, Failed(Cause::Changed), Act::Open),
                 (30, Started, grab(2000)),
                 (40, Failed(Cause::Changed), Act::Open),
+                (50, Started, grab(2000)),
+                (60, Failed(Cause::Changed), rest(50)),
+                (110, Rested, Act::Open),
+                (120, Started, grab(2000)),
+                (130, Picture, grab(250)),
+                (140, Failed(Cause::Changed), Act::Open),
             ],
         ];
         for steps in table {
