@@ -174,7 +174,7 @@ fn settings_are_taken_between_two_frames_or_refused_with_their_line() {
 
     // nothing is lost but what a newer picture replaced, nothing is shown twice or half
     assert_eq!((&figures["out_of_order"], &figures["slates"]), (&0.into(), &0.into()), "{figures}");
-    assert_eq!(figures["missing"], figures["replaced"], "{figures}");
+    assert!(figures["missing"].as_u64() <= figures["replaced"].as_u64(), "{figures}");
     let pictures = shown(&pictures);
     assert_eq!(Some(pictures.len() as u64), figures["shown"].as_u64());
     let mut kinds: Vec<&Rgb> = Vec::new();

@@ -158,7 +158,7 @@ fn named(path: &Path, config: &Config) -> Result<(Device, Candidate), CameraErro
     let device = config.device.clone();
     if let Err(source) = std::fs::metadata(path) {
         return Err(match source.kind() {
-            io::ErrorKind::NotFound => CameraError::NoCamera { device, others: others(config) },
+            io::ErrorKind::NotFound => CameraError::NoCamera { device, others: others() },
             _ => CameraError::Fault { device, step: "looking at it", source },
         });
     }
@@ -197,13 +197,10 @@ fn first(nodes: Vec<PathBuf>, what: &str, config: &Config) -> Result<(Device, Ca
     Ok((device, candidate))
 }
 
-fn others(config: &Config) -> String {
-    let serving: Vec<String> = probe(config)
-        .into_iter()
-        .filter(|c| c.refusal.is_none())
-        .map(|c| c.path.display().to_string())
-        .collect();
-    if serving.is_empty() { String::new() } else { format!(" (there is {})", serving.join(", ")) }
+/// What else there is; nothing is opened: a camera that left is looked for often.
+fn others() -> String {
+    let nodes: Vec<String> = nodes().iter().map(|path| path.display().to_string()).collect();
+    if nodes.is_empty() { String::new() } else { format!(" (there is {})", nodes.join(", ")) }
 }
 
 #[cfg(test)]
