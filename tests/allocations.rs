@@ -138,3 +138,42 @@ fn with_every_option_on_switching_allocates_between_frames_only() {
         assert!(inside.is_empty(), "frames that allocate, and how often: {inside:?}");
     });
 }
+
+#[test]
+fn the_governors_steps_allocate_nothing() {
+    let _alone = alone();
+    let size = Size::new(320, 240);
+    let settings = SyntheticConfig { samples: 1, pace: 0.0, noise: 0.0, ..SyntheticConfig::default() };
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(2).build().expect("a pool");
+    pool.install(|| {
+        for &name in StyleName::value_variants() {
+            let config = style::Config { name, ..style::Config::default() };
+            let mut camera = Synthetic::new(&settings, size, 30.0, simd::best());
+            let mut pipeline =
+                Pipeline::new(teapot(), camera.lens(), Default::default(), &config, simd::best()).governed();
+            assert_eq!(pipeline.forms(), 1 + config.simpler().len(), "{name}");
+            let mut frame = Frame::default();
+            let mut before = 0;
+            let mut pictures = Vec::new();
+            for number in 0..48 {
+                assert!(camera.next(&mut frame));
+                if number == 12 {
+                    before = ALLOCATIONS.load(Ordering::Relaxed);
+                }
+                if number % 4 == 0 && number >= 12 {
+                    pipeline.set_quality(number / 4 % 3);
+                }
+                pipeline.draw_frame(&frame);
+            }
+            let allocated = ALLOCATIONS.load(Ordering::Relaxed) - before;
+            assert_eq!(allocated, 0, "{name}: {allocated} allocations in 36 frames with 9 steps");
+            // the simplest is another picture
+            for quality in 0..pipeline.forms() {
+                pipeline.set_quality(quality);
+                assert!(camera.next(&mut frame));
+                pictures.push(pipeline.draw_frame(&frame).canvas.clone());
+            }
+            assert!(pictures.len() == 1 || pictures.first() != pictures.last(), "{name}");
+        }
+    });
+}

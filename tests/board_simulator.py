@@ -9,6 +9,7 @@ LINK becomes a symbolic link to the terminal that a visor opens. Commands come o
     mute MS                 all that the board says is lost for so long
     type TEXT               a line of console text
     raw HEX                 bytes as they are
+    send TEXT               a message, as a show controller's
     unplug, plug            the terminal goes away, and comes back as another one
     reboot                  the board starts again: clock and numbers from 0, nothing pressed
     quit
@@ -178,6 +179,8 @@ class Board:
             self.write(rest.encode() + b"\n")
         elif word == "raw":
             self.write(bytes.fromhex(rest))
+        elif word == "send":
+            self.send(rest)
         elif word == "unplug":
             self.unplug()
         elif word == "plug":

@@ -378,8 +378,24 @@ fn edges_are_acknowledged_and_repeats_dropped() {
     assert_eq!(asks, [Ask::Style(1), Ask::Standby(true)]);
     assert_eq!(
         says(&mut link),
-        ["ACK 12", "ACK 12", "NAK 13 unknown-style", "NAK 14 off", "NAK 15 off", "ACK 16", "ACK 17"]
+        [
+            "ACK 12",
+            "ACK 12",
+            "NAK 13 unknown-style",
+            "NAK 14 unknown-scene",
+            "NAK 15 off",
+            "ACK 16",
+            "ACK 17"
+        ]
     );
+    let scenes = vec!["day".to_string(), "night".to_string()];
+    let mut offering = Link::new(&Config::default(), STYLES.to_vec()).offering(scenes, true);
+    offering.opened(ms(0));
+    assert!(tell(&mut offering, &[HELLO], ms(0)).is_empty());
+    says(&mut offering);
+    let asks = tell(&mut offering, &["20 SET scene night", "21 SET scene noon", "22 SHOT", "22 SHOT"], ms(1));
+    assert_eq!(asks, [Ask::Scene(1), Ask::Shot]);
+    assert_eq!(says(&mut offering), ["ACK 20", "NAK 21 unknown-scene", "ACK 22", "ACK 22"]);
     // the board's clock goes on by itself until it says the time
     // what cannot be is not believed: a button the board has not, a time that is not now, unless it stays so
     let asks = tell(&mut link, &["30 BTN 4 D 1300", "31 BTN 3 D 9000", "32 BTN 3 D 4294960000"], ms(100));

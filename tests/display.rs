@@ -4,7 +4,9 @@
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex};
-use vernissage::display::{Composer, Config, DisplayError, Filter, Kind, Scale, Sink, Xrgb, Y4m, compose};
+use vernissage::display::{
+    Composer, Config, DisplayError, Filter, Kind, Layout, Rotate, Scale, Sink, Xrgb, Y4m, compose,
+};
 use vernissage::pixels::{Plane, Rgb, Size, SplitMix64, picture, simd};
 
 fn noise(width: usize, height: usize) -> Rgb {
@@ -37,7 +39,7 @@ const SIZES: &[(Pair, Pair)] = &[
 fn one_to_one_centers_and_crops() {
     for &((w, h), (mw, mh)) in SIZES {
         let (canvas, mode) = (noise(w, h), Size::new(mw, mh));
-        let shown = compose(&canvas, mode, Scale::OneToOne, Filter::Bilinear);
+        let shown = compose(&canvas, mode, (Scale::OneToOne, Filter::Bilinear));
         for y in 0..mh {
             for x in 0..mw {
                 // the canvas's middle lies on the mode's middle, halves rounded towards the top left
@@ -72,8 +74,8 @@ fn fit_matches_the_plain_reference() {
     for &((w, h), (mw, mh)) in SIZES {
         let (canvas, mode) = (noise(w, h), Size::new(mw, mh));
         let (left, top, size) = fitted(canvas.size(), mode);
-        let nearest = compose(&canvas, mode, Scale::Fit, Filter::Nearest);
-        let bilinear = compose(&canvas, mode, Scale::Fit, Filter::Bilinear);
+        let nearest = compose(&canvas, mode, (Scale::Fit, Filter::Nearest));
+        let bilinear = compose(&canvas, mode, (Scale::Fit, Filter::Bilinear));
         for y in 0..mh {
             for x in 0..mw {
                 let inside = (left..left + size.width).contains(&x) && (top..top + size.height).contains(&y);
@@ -118,11 +120,11 @@ fn every_level_and_thread_count_gives_the_same_bytes() {
         [(Scale::OneToOne, Filter::Bilinear), (Scale::Fit, Filter::Bilinear), (Scale::Fit, Filter::Nearest)]
     {
         let mode = Size::new(643, 481);
-        let first = compose(&canvas, mode, scale, filter);
+        let first = compose(&canvas, mode, (scale, filter));
         for threads in [1, 2, 4] {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("pool");
             for level in simd::available() {
-                let mut composer = Composer::new(mode, scale, filter).at_level(level);
+                let mut composer = Composer::new(mode, (scale, filter)).at_level(level);
                 let same = pool.install(|| *composer.compose(&canvas) == first);
                 assert!(same, "{scale:?} {filter:?}: {} with {threads} threads", simd::name(level));
             }
@@ -133,10 +135,10 @@ fn every_level_and_thread_count_gives_the_same_bytes() {
 #[test]
 fn a_new_canvas_size_leaves_nothing_of_the_old_picture() {
     let mode = Size::new(64, 48);
-    let mut composer = Composer::new(mode, Scale::OneToOne, Filter::Bilinear);
+    let mut composer = Composer::new(mode, (Scale::OneToOne, Filter::Bilinear));
     composer.compose(&noise(64, 48));
     let small = noise(20, 10);
-    assert_eq!(*composer.compose(&small), compose(&small, mode, Scale::OneToOne, Filter::Bilinear));
+    assert_eq!(*composer.compose(&small), compose(&small, mode, (Scale::OneToOne, Filter::Bilinear)));
     assert_eq!(*composer.compose(&Rgb::default()), Xrgb::new(mode));
 }
 
@@ -144,7 +146,7 @@ fn a_new_canvas_size_leaves_nothing_of_the_old_picture() {
 fn hash_is_the_documented_one() {
     let mut canvas = Rgb::new(Size::new(2, 1), [0; 3]);
     canvas.set(0, 0, [0x12, 0x34, 0x56]);
-    let shown = compose(&canvas, canvas.size(), Scale::OneToOne, Filter::Bilinear);
+    let shown = compose(&canvas, canvas.size(), (Scale::OneToOne, Filter::Bilinear));
     let mut expected = 0xcbf2_9ce4_8422_2325u64;
     for word in [2, 1, 0x12_34_56, 0] {
         expected = (expected ^ word).wrapping_mul(0x100_0000_01b3);
@@ -277,6 +279,27 @@ fn a_missing_screen_says_what_was_looked_at() {
 }
 
 #[test]
+fn turned_and_doubled_pictures_are_placed_as_any() {
+    let (canvas, mode) = (noise(64, 48), Size::new(131, 70));
+    for rotate in [Rotate::None, Rotate::Right, Rotate::Half, Rotate::Left] {
+        for (scale, mirror) in [(Scale::OneToOne, false), (Scale::Fit, true)] {
+            let layout = Layout { scale, rotate, mirror, ..Layout::default() };
+            let mut turned = Rgb::default();
+            layout.turn(&canvas, &mut turned);
+            let plain = (scale, Filter::Bilinear);
+            assert!(compose(&canvas, mode, layout) == compose(&turned, mode, plain), "{layout:?}");
+            // two lenses: each half is a screen of its own, an odd last column stays black
+            let both = compose(&canvas, mode, Layout { stereo: true, ..layout });
+            let one = compose(&turned, Size::new(65, 70), plain);
+            for (y, x) in (0..70).flat_map(|y| (0..65).map(move |x| (y, x))) {
+                assert_eq!([both.at(x, y), both.at(x + 65, y)], [one.at(x, y); 2], "{layout:?} at {x},{y}");
+            }
+            assert!((0..70).all(|y| both.at(130, y) == [0; 3]));
+        }
+    }
+}
+
+#[test]
 fn settings_read_and_refuse() {
     let read = toml::from_str::<Config>;
     let text = "sink = 'kms'\ncard = '/dev/dri/card1'\nmode = '800x480'\nscale = 'fit'\nfilter = 'nearest'";
@@ -284,6 +307,9 @@ fn settings_read_and_refuse() {
     assert_eq!(config.mode.map(|m| m.0), Some(Size::new(800, 480)));
     assert_eq!((config.scale, config.filter, config.fps), (Scale::Fit, Filter::Nearest, 30));
     assert_eq!(read("").expect("defaults"), Config::default());
+    let visor = read("rotate = 270\nmirror = true\nstereo = true").expect("all keys").layout();
+    assert_eq!((visor.rotate, visor.mirror, visor.stereo), (Rotate::Left, true, true));
+    assert!(read("rotate = 45").expect_err("no such turn").to_string().contains("rotate = 45: give 0, 90"));
     assert!(read("colour = 1").expect_err("unknown key").to_string().contains("colour"));
     let error = read("mode = '800*480'").expect_err("bad mode").to_string();
     assert!(error.contains("640x480"), "{error}");

@@ -20,7 +20,9 @@ target=aarch64-unknown-linux-gnu
   CARGO_TARGET_DIR="$root/target-arm" \
   cargo build --release --quiet --target "$target" --bin vernissage)
 cp "$root/target-arm/$target/release/vernissage" "$dir/vernissage"
-aarch64-linux-gnu-gcc -std=gnu11 -O2 -Wall -Wextra -Werror -static -o "$dir/feed" "$here/feed.c"
+for program in feed ctl; do
+  aarch64-linux-gnu-gcc -std=gnu11 -O2 -Wall -Wextra -Werror -static -o "$dir/$program" "$here/$program.c"
+done
 
 # Debian's kernel and busybox, fetched once; apt runs here as whoever we are, into our own folder
 if ! [ -d "$dir/kernel/lib/modules" ] || ! [ -x "$dir/busybox/bin/busybox" ]; then
@@ -33,7 +35,7 @@ fi
 release=$(ls "$dir/kernel/lib/modules")
 /sbin/depmod -b "$dir/kernel" "$release"
 
-# the initramfs: busybox, the modules in the order they want to be loaded, our two programs, /init
+# the initramfs: busybox, the modules in the order they want to be loaded, our programs, /init
 for module in virtio_gpu virtio_pci virtio_console 9p 9pnet_virtio vivid; do
   /sbin/modprobe -d "$dir/kernel" -S "$release" --show-depends "$module" | awk '/^insmod/{print $2}'
 done | awk '!seen[$0]++' > "$dir/modules"
@@ -41,7 +43,7 @@ rm -f "$dir"/init/mods/*
 xargs -a "$dir/modules" cp -t "$dir/init/mods/"
 awk -F/ '{print $NF}' "$dir/modules" | grep -v '^vivid.ko' > "$dir/init/mods/order"
 cp "$dir/busybox/bin/busybox" "$dir/init/bin/"
-cp "$dir/vernissage" "$dir/feed" "$dir/init/bin/"
+cp "$dir/vernissage" "$dir/feed" "$dir/ctl" "$dir/init/bin/"
 cp "$here/init.sh" "$dir/init/init"
 chmod +x "$dir/init/init"
 (cd "$dir/init" && find . | cpio -o -H newc 2>/dev/null | gzip -1) > "$dir/initrd.gz"

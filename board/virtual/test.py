@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """The virtual-board test: kernel camera in, kernel display out, on an emulated ARM board.
 
-usage: test.py [--host BINARY] [--dir DIR] [--frames N] [--skip-build] [--only loop|clock]
+usage: test.py [--host BINARY] [--dir DIR] [--frames N] [--skip-build] [--only loop|clock|recover]
 
 1. loop   A clip with a moving marker, made by the program itself, is fed into the kernel's vivid driver.
           `vernissage run` on the board takes it from /dev/video0, draws it and shows it on /dev/dri/card0. Checked:
@@ -10,6 +10,9 @@ usage: test.py [--host BINARY] [--dir DIR] [--frames N] [--skip-build] [--only l
 2. clock  The board's clock counts instructions: the program's own times become million ARM instructions, of the
           whole frame's stages and of every style alone. Checked: no style costs more than its bound, and every
           style's picture is the one this machine draws, byte for byte.
+
+3. recover  Only when asked for (`--only recover`): the camera is disconnected, unbound and made to fail at random
+          times. Checked: the program goes on, is back within 300 ms, counts every fault, and leaks nothing.
 
 Needs what install.sh installs and a release build of the program for this machine (made if missing). Everything
 is kept in DIR (default target/virtual-board): console logs, the trace, screen pictures, replayed frames.
@@ -85,6 +88,51 @@ for style in {styles}; do
     || echo BOARD: ran 1
 done
 echo BOARD: ran 0
+"""
+
+# how often each trouble comes: a twentieth of what a full soak does
+TROUBLES = {"disconnect": 10, "unbind": 3, "V4L2_BUF_FLAG_ERROR": 3, "VIDIOC_STREAMON Error": 3, "Fatal Streaming Error": 3}
+
+RECOVER = """
+cat > /tmp/visor.toml <<END
+threads = 2
+[camera]
+source = "v4l2"
+device = "/dev/video0"
+width = 640
+height = 480
+[style]
+name = "plain"
+[display]
+sink = "kms"
+END
+facts() {{
+  echo "BOARD: $1 $(ls /proc/$pid/fd | wc -l) $(awk '/VmRSS/{{print $2}}' /proc/$pid/status) $(awk '{{print $14+$15}}' /proc/$pid/stat) $(cut -d' ' -f1 /proc/uptime)"
+}}
+echo BOARD: run
+vernissage run --wait --config /tmp/visor.toml --status /tmp/status.json --json > /host/recover.json 2> /host/recover.err &
+pid=$!
+sleep 6
+facts before
+for i in $(seq {disconnect}); do ctl /dev/video0 Disconnect 1; sleep 2; done
+for what in "V4L2_BUF_FLAG_ERROR" "VIDIOC_STREAMON Error" "Fatal Streaming Error"; do
+  for i in $(seq {injections}); do ctl /dev/video0 "Inject $what" 1; sleep 2; done
+done
+for i in $(seq {unbind}); do
+  echo vivid.0 > /sys/bus/platform/drivers/vivid/unbind
+  sleep 1; facts lost; sleep 4; facts waits
+  echo vivid.0 > /sys/bus/platform/drivers/vivid/bind
+  sleep 3
+done
+ctl /dev/video0 "Percentage of Dropped Buffers" 100
+sleep 5
+ctl /dev/video0 "Percentage of Dropped Buffers" 0
+sleep 3
+facts after
+cp /tmp/status.json /host/recover-status.json
+kill -TERM $pid
+wait $pid
+echo BOARD: ran $?
 """
 
 # million ARM instructions that a style may take for a 640x480 picture, bytes to bytes
@@ -388,13 +436,51 @@ def clock(host, folder):
         check(cost <= budget, f"clock: {style} {cost:.1f} million instructions a frame, at most {budget}")
 
 
+def recover(folder):
+    """Boot 3: a camera that falters."""
+    for name in ("recover.json", "recover.err", "recover-status.json"):
+        (folder / "host" / name).unlink(missing_ok=True)
+    (folder / "host" / "run.sh").write_text(RECOVER.format(injections=TROUBLES["V4L2_BUF_FLAG_ERROR"], **{
+        name: TROUBLES[name] for name in ("disconnect", "unbind")}))
+    board = Board(folder, "recover")
+    try:
+        board.wait_for("ran", 400)
+    finally:
+        board.close(30)
+    log = folder / "host" / "recover.err"
+    if not check(board.said("ran") == "0", f"recover: the program goes on and ends well (exit {board.said('ran')})"):
+        for line in (log.read_text() if log.exists() else "").splitlines()[-10:]:
+            note(line)
+        return
+    facts = {word: [tuple(map(float, line.split()[2:])) for line in board.lines if line.startswith(f"BOARD: {word} ")]
+             for word in ("before", "lost", "waits", "after")}
+    (before,), (after,) = facts["before"], facts["after"]
+    check(after[0] == before[0], f"recover: {after[0]:.0f} open files, before {before[0]:.0f}")
+    check(after[1] <= before[1] + 2048, f"recover: {after[1]:.0f} KiB resident, before {before[1]:.0f}")
+    busy = [(b[2] - a[2]) / 100 / (b[3] - a[3]) for a, b in zip(facts["lost"], facts["waits"])]
+    check(bool(busy) and max(busy) < 0.05, f"recover: {100 * max(busy, default=1):.1f} % of a core while the camera is lost")
+    status = json.loads((folder / "host" / "recover-status.json").read_text())
+    faults = {fault["code"]: fault for fault in status["faults"]}
+    note(json.dumps(status["faults"]) + " " + json.dumps(status["camera"]))
+    check(status["state"] == "run" and not any(fault["now"] for fault in faults.values()), "recover: all is well at the end")
+    lost = faults.get("C1", {"count": 0})["count"]
+    check(lost >= TROUBLES["disconnect"] + TROUBLES["unbind"], f"recover: camera lost {lost} times")
+    check(faults.get("C2", {"count": 0})["count"] >= 1, "recover: silence counted")
+    check(status["camera"]["damaged"] >= TROUBLES["V4L2_BUF_FLAG_ERROR"], f"recover: {status['camera']['damaged']} damaged pictures counted")
+    back = [float(value) / {"s": 0.001, "ms": 1, "µs": 1000}[unit] for value, unit in
+            re.findall(r"pictures again after ([0-9.]+)(s|ms|µs)", log.read_text())]
+    # unplugged for five seconds, and silent for five: those begin when the device left; the others were back at once
+    quick = sorted(value for value in back if value < 4000)
+    check(len(quick) >= TROUBLES["disconnect"] and quick[-1] <= 300, f"recover: pictures again after {quick} ms")
+
+
 def main():
     arguments = argparse.ArgumentParser(description="The virtual-board test.")
     arguments.add_argument("--host", type=Path, help="the program for this machine, target/release/vernissage")
     arguments.add_argument("--dir", type=Path, default=ROOT / "target" / "virtual-board")
     arguments.add_argument("--frames", type=int, default=60)
     arguments.add_argument("--skip-build", action="store_true", help="use the board as it is in DIR")
-    arguments.add_argument("--only", choices=["loop", "clock"])
+    arguments.add_argument("--only", choices=["loop", "clock", "recover"])
     chosen = arguments.parse_args()
     folder = chosen.dir.resolve()
     (folder / "host").mkdir(parents=True, exist_ok=True)
@@ -408,9 +494,11 @@ def main():
     if chosen.host is None and run(["cargo", "build", "--release", "--quiet"], 1800, cwd=ROOT) is None:
         return 1
     began = time.monotonic()
-    if chosen.only != "clock":
+    if chosen.only == "recover":
+        recover(folder)
+    if chosen.only in (None, "loop"):
         loop(host.resolve(), folder, chosen.frames)
-    if chosen.only != "loop":
+    if chosen.only in (None, "clock"):
         clock(host.resolve(), folder)
     note(f"{time.monotonic() - began:.0f} s, logs and pictures in {folder}")
     print("virtual board: " + (f"{failures} checks FAILED" if failures else "all checks passed"))

@@ -1,5 +1,6 @@
 //! `vernissage bench`: time and error of every stage, side by side, with the machine's facts.
 
+mod budget;
 mod coherence;
 pub mod following;
 pub mod markers;
@@ -61,6 +62,10 @@ pub struct Args {
     /// the scene with `style.anchored`
     #[arg(long)]
     coherence: bool,
+    /// Keeping to a budget of so many ms a frame: what every style costs at each of its quality levels, and where the
+    /// governor settles
+    #[arg(long, value_name = "B", conflicts_with_all = ["styles", "tracking", "raster", "coherence"])]
+    budget_ms: Option<f64>,
     /// Thread counts to measure
     #[arg(long, value_delimiter = ',', default_value = "1,2", value_name = "N,N")]
     threads: Vec<usize>,
@@ -110,6 +115,9 @@ impl Times {
 
 /// Measures what was asked for and prints it.
 pub fn run(args: Args) -> anyhow::Result<()> {
+    if let Some(budget_ms) = args.budget_ms {
+        return budget::run(&args, budget_ms);
+    }
     if args.coherence {
         return coherence::run(&args);
     }

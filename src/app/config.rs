@@ -2,6 +2,7 @@
 //! that names file, line and the nearest word that would have been right.
 
 use crate::geometry::Lens;
+use crate::pipeline::governor;
 use crate::pixels::Size;
 use crate::scene::{BoardConfig, LightConfig, ModelConfig, Scene};
 use crate::{buttons, camera, display, retouch, style, track};
@@ -35,6 +36,35 @@ pub struct Config {
     pub display: display::Config,
     /// Buttons on a serial line.
     pub serial: buttons::Config,
+    /// Keys of the kernel's input layer as buttons; off unless given.
+    pub keys: Option<buttons::keys::Config>,
+    /// Scene files that presses step through, relative to this file; the first is shown first. Their tables (model,
+    /// board, light, retouch, style, track) stand in place of this file's.
+    pub scenes: Vec<PathBuf>,
+    /// Keeps frames to a budget; off unless given.
+    pub governor: Option<governor::Config>,
+    /// Pictures kept on request; off unless given.
+    pub snapshot: Option<SnapshotConfig>,
+}
+
+/// The `[snapshot]` table: without it nothing is ever kept.
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SnapshotConfig {
+    /// The folder, relative to the settings file.
+    pub dir: PathBuf,
+}
+
+/// What a scene file may hold.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct SceneFile {
+    model: Option<Vec<ModelConfig>>,
+    board: Option<Vec<BoardConfig>>,
+    light: Option<LightConfig>,
+    retouch: Option<retouch::Config>,
+    style: Option<style::Config>,
+    track: Option<track::Config>,
 }
 
 /// The `[lens]` table: a calibration, pixel centers at integers, for pictures of `width` x `height`; pictures
@@ -94,11 +124,15 @@ pub struct Loaded {
 impl Config {
     /// Parses settings; `path` is for messages.
     pub fn parse(text: &str, path: &Path) -> Result<Config, ConfigError> {
+        let config: Config = read_toml(text, path)?;
+        config.check(text, path)?;
+        Ok(config)
+    }
+
+    /// Whether everything is within its range.
+    fn check(&self, text: &str, path: &Path) -> Result<(), ConfigError> {
+        let config = self;
         let wrong = |line, reason| ConfigError::Wrong { path: path.into(), line, reason };
-        let config: Config = toml::from_str(text).map_err(|e| {
-            let line = e.span().map_or(1, |span| line_of(text, span.start));
-            wrong(line, explain(e.message()))
-        })?;
         if config.threads > 64 {
             return Err(wrong(find_key(text, "threads"), format!("threads = {}: 1 to 64", config.threads)));
         }
@@ -112,7 +146,18 @@ impl Config {
         if let Some(lens) = &config.lens {
             lens.check().map_err(|reason| wrong(find_key(text, "lens"), reason))?;
         }
-        Ok(config)
+        if let Some(keys) = &config.keys {
+            keys.check().map_err(|reason| wrong(find_key(text, "codes"), reason))?;
+        }
+        if let Some(governor) = &config.governor {
+            governor.check().map_err(|reason| wrong(find_key(text, "budget_ms"), reason))?;
+        }
+        let names: Vec<String> = config.scenes.iter().map(|file| scene_name(file)).collect();
+        if let Some(twice) = (1..names.len()).find(|&k| names[..k].contains(&names[k])) {
+            let reason = format!("two scenes are called {}: rename a file", names[twice]);
+            return Err(wrong(find_key(text, "scenes"), reason));
+        }
+        Ok(())
     }
 
     /// Threads to compute with.
@@ -175,18 +220,70 @@ impl Loaded {
         let mut config = Config::parse(&text, path)?;
         let folder = path.parent().unwrap_or(Path::new("."));
         config.camera.resolve(folder);
+        if let Some(snapshot) = &mut config.snapshot {
+            snapshot.dir = folder.join(&snapshot.dir);
+        }
+        for file in &mut config.scenes {
+            *file = folder.join(&file);
+        }
+        Loaded::build(config, &text, path)
+    }
+
+    /// The scenes to step through, by name: those that the file lists, else what it says itself.
+    pub fn scenes(self, path: &Path) -> Result<Vec<(String, Loaded)>, ConfigError> {
+        if self.config.scenes.is_empty() {
+            return Ok(vec![(scene_name(path), self)]);
+        }
+        let scene = |file: &PathBuf| Ok((scene_name(file), self.scene(file)?));
+        self.config.scenes.iter().map(scene).collect()
+    }
+
+    /// What a scene file makes of these settings.
+    fn scene(&self, path: &Path) -> Result<Loaded, ConfigError> {
+        let read = |source| ConfigError::Read { path: path.into(), source };
+        let text = std::fs::read_to_string(path).map_err(read)?;
+        let file: SceneFile = read_toml(&text, path)?;
+        let own_models = file.model.is_some() || file.board.is_some() || file.light.is_some();
+        let mut config = self.config.clone();
+        config.model = file.model.unwrap_or(config.model);
+        config.board = file.board.unwrap_or(config.board);
+        config.light = file.light.unwrap_or(config.light);
+        config.retouch = file.retouch.unwrap_or(config.retouch);
+        config.style = file.style.unwrap_or(config.style);
+        config.track = file.track.unwrap_or(config.track);
+        config.check(&text, path)?;
+        if own_models {
+            return Loaded::build(config, &text, path);
+        }
+        Ok(Loaded { config, scene: self.scene.clone() })
+    }
+
+    fn build(config: Config, text: &str, path: &Path) -> Result<Loaded, ConfigError> {
+        let folder = path.parent().unwrap_or(Path::new("."));
         let scene = Scene::build(&config.model, &config.light, folder).map_err(|e| ConfigError::Wrong {
             path: path.into(),
-            line: nth_table(&text, "[[model]]", e.number),
+            line: nth_table(text, "[[model]]", e.number),
             reason: e.to_string(),
         })?;
         let scene = scene.on_boards(&config.board).map_err(|e| ConfigError::Wrong {
             path: path.into(),
-            line: nth_table(&text, "[[board]]", e.number),
+            line: nth_table(text, "[[board]]", e.number),
             reason: e.to_string(),
         })?;
         Ok(Loaded { config, scene })
     }
+}
+
+/// A scene is called as its file, without the end.
+fn scene_name(path: &Path) -> String {
+    path.file_stem().unwrap_or(path.as_os_str()).to_string_lossy().into_owned()
+}
+
+fn read_toml<T: serde::de::DeserializeOwned>(text: &str, path: &Path) -> Result<T, ConfigError> {
+    toml::from_str(text).map_err(|e| {
+        let line = e.span().map_or(1, |span| line_of(text, span.start));
+        ConfigError::Wrong { path: path.into(), line, reason: explain(e.message()) }
+    })
 }
 
 fn line_of(text: &str, at: usize) -> usize {
@@ -317,6 +414,34 @@ mod tests {
             "{message}"
         );
         assert!(error("[retouch.hide]\nmargins = 1\n").contains("`margin`"));
+    }
+
+    #[test]
+    fn scenes_stand_in_place_of_the_files_own() {
+        let folder = std::env::temp_dir().join(format!("vernissage-scenes-{}", std::process::id()));
+        std::fs::create_dir_all(&folder).expect("a folder");
+        let write = |name: &str, text: &str| std::fs::write(folder.join(name), text).expect("written");
+        write("a.toml", "[style]\nname = \"sketchy\"\n");
+        write("b.toml", "[[model]]\nfile = \"spot\"\nmarker = {}\n");
+        write("visor.toml", "scenes = [\"a.toml\", \"b.toml\"]\n[[model]]\nfile = \"teapot\"\nmarker = {}\n");
+        let visor = folder.join("visor.toml");
+        let scenes = || Loaded::read(&visor).and_then(|loaded| loaded.scenes(&visor));
+        let two = scenes().expect("two scenes");
+        let model = |k: usize| two[k].1.scene.models[0].name.as_str();
+        assert_eq!((two[0].0.as_str(), model(0), two[1].0.as_str(), model(1)), ("a", "teapot", "b", "spot"));
+        assert_eq!([0, 1].map(|k| two[k].1.config.style.name.name()), ["sketchy", "cartoon"]);
+        write("a.toml", "[camera]\nwidth = 3\n");
+        assert!(
+            scenes().expect_err("not in a scene").to_string().contains("a.toml:1: unknown field `camera`")
+        );
+        write("a.toml", "\n[style]\nfade_ms = 9999\n");
+        assert!(scenes().expect_err("out of range").to_string().contains("a.toml:2: style.fade_ms = 9999"));
+        write("visor.toml", "threads = 1\n");
+        assert_eq!(scenes().expect("itself")[0].0, "visor");
+        assert!(
+            error("scenes = [\"a.toml\", \"x/a.toml\"]\n").contains("visor.toml:1: two scenes are called a")
+        );
+        std::fs::remove_dir_all(&folder).expect("its own folder");
     }
 
     #[test]

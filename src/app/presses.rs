@@ -1,15 +1,24 @@
-//! What presses do to the appliance: other styles, a picture that stands still, a dark screen.
+//! What presses do to the appliance: other styles and scenes, a picture that stands still or is kept, a dark screen.
 //!
 //! Asked between two frames; the frame that follows shows it, and its number is told to the board once it is on its
-//! way to the screen.
+//! way to the screen. A scene is told when it is shown.
 
-use crate::buttons::{Action, Ask, Config, Markers, Mode, Outcome, Port, PortError, Status};
+use super::config::Config as Visor;
+use super::fault::Fault;
+use super::run::album::Album;
+use super::run::settings::{Cause, Settings};
+use super::run::tally::Tally;
+use crate::buttons::keys::Keys;
+use crate::buttons::{Action, Ask, Config, Kind, Markers, Mode, Outcome, Port, Status};
 use crate::frame::Sighting;
 use crate::pipeline::Pipeline;
 use crate::pixels::{Rgb, Size};
 use crate::style::{self, StyleName};
 use clap::ValueEnum;
 use std::time::{Duration, Instant};
+
+/// How long a board may take to answer after the start before that is a fault.
+const GREETING: Duration = Duration::from_secs(5);
 
 /// What is shown instead of new pictures.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -35,12 +44,20 @@ struct Done {
 /// The buttons, and what they have done.
 pub struct Presses {
     port: Option<Port>,
+    keys: Option<Keys>,
+    /// What was asked, while it is done.
+    asked: Vec<Ask>,
     config: Config,
     style: style::Config,
+    scenes: usize,
     still: Still,
     /// The picture that stands still.
     picture: Rgb,
     done: Vec<Done>,
+    /// Those whose scene is not shown yet.
+    waiting: Vec<Done>,
+    markers: Markers,
+    began: Instant,
     /// Frames shown since then, for the rate.
     since: Instant,
     shown: u32,
@@ -48,16 +65,23 @@ pub struct Presses {
 }
 
 impl Presses {
-    /// Begins to listen, where the settings name a port. `style`: what styles are asked for with.
-    pub fn new(config: &Config, style: &style::Config) -> Result<Self, PortError> {
+    /// Begins to listen, where the settings name a port. `scenes`: the names that may be asked for.
+    pub fn new(config: &Visor, scenes: Vec<String>) -> anyhow::Result<Self> {
         let names = StyleName::value_variants().iter().map(|style| style.name()).collect();
+        let count = scenes.len();
         Ok(Self {
-            port: Port::start(config, names)?,
-            config: config.clone(),
-            style: style.clone(),
+            port: Port::start(&config.serial, names, scenes, config.snapshot.is_some())?,
+            keys: config.keys.as_ref().map(|keys| Keys::start(keys, config.serial.wanted())).transpose()?,
+            asked: Vec::with_capacity(128),
+            config: config.serial.clone(),
+            style: config.style.clone(),
+            scenes: count,
             still: Still::No,
             picture: Rgb::default(),
             done: Vec::with_capacity(16),
+            waiting: Vec::with_capacity(16),
+            markers: Markers::default(),
+            began: Instant::now(),
             since: Instant::now(),
             shown: 0,
             fps10: 0,
@@ -65,15 +89,19 @@ impl Presses {
     }
 
     /// Does what was asked since the last frame. Never waits.
-    pub fn act(&mut self, pipeline: &mut Pipeline) {
-        let Some(port) = self.port.take() else { return };
-        for ask in port.asked() {
+    pub fn act(
+        &mut self,
+        pipeline: &mut Pipeline,
+        settings: Option<&Settings>,
+        album: &mut Album,
+        tally: &Tally,
+    ) {
+        let mut asked = std::mem::take(&mut self.asked);
+        asked.extend(self.port.iter().flat_map(Port::asked));
+        asked.extend(self.keys.iter().flat_map(Keys::asked));
+        for ask in asked.drain(..) {
             match ask {
-                Ask::Press(button, kind) => {
-                    let action = self.config.action(button, kind);
-                    let outcome = action.map_or(Outcome::Ignored, |action| self.perform(action, pipeline));
-                    self.done.push(Done { button, action, outcome });
-                }
+                Ask::Press(button, kind) => self.press(button, kind, pipeline, settings, album, tally),
                 Ask::Style(index) => {
                     if let Some(&name) = StyleName::value_variants().get(index) {
                         pipeline.switch(&style::Config { name, ..self.style.clone() });
@@ -81,9 +109,43 @@ impl Presses {
                     }
                 }
                 Ask::Standby(on) => self.still = if on { Still::Dark } else { Still::No },
+                Ask::Scene(scene) => {
+                    // a full queue is one of wishes that nobody has seen fulfilled: the next one counts
+                    let _ = settings.map(|settings| settings.ask(scene));
+                }
+                Ask::Shot => {
+                    album.want();
+                }
             }
         }
-        self.port = Some(port);
+        tally.standby.set(u64::from(self.sleeps()));
+        self.asked = asked;
+    }
+
+    fn press(
+        &mut self,
+        button: u8,
+        kind: Kind,
+        pipeline: &mut Pipeline,
+        settings: Option<&Settings>,
+        album: &mut Album,
+        tally: &Tally,
+    ) {
+        let action = self.config.action(button, kind);
+        let mut done = Done { button, action, outcome: Outcome::Ignored };
+        match action {
+            Some(Action::SceneNext) if !self.sleeps() && self.scenes > 1 => {
+                let next = (tally.scene.get() as usize + 1 + self.waiting.len()) % self.scenes;
+                if settings.is_some_and(|settings| settings.ask(next)) && self.waiting.len() < 16 {
+                    return self.waiting.push(done);
+                }
+                done.outcome = Outcome::Error;
+            }
+            Some(Action::Snapshot) if !self.sleeps() && album.want() => done.outcome = Outcome::Ok,
+            Some(action) => done.outcome = self.perform(action, pipeline),
+            None => {}
+        }
+        self.done.push(done);
     }
 
     fn perform(&mut self, action: Action, pipeline: &mut Pipeline) -> Outcome {
@@ -103,8 +165,27 @@ impl Presses {
             }
             Action::Freeze => self.still = if self.still == Still::No { Still::Wanted } else { Still::No },
             Action::Standby => self.still = Still::Dark,
+            // one scene only, or nothing is ever kept
+            Action::SceneNext | Action::Snapshot => return Outcome::Ignored,
         }
         Outcome::Ok
+    }
+
+    /// New settings or another scene are shown from the next frame on.
+    pub fn taken(&mut self, config: &Visor, cause: Cause) {
+        self.style = config.style.clone();
+        if cause == Cause::Scene {
+            self.still = Still::No;
+            self.done.extend(self.waiting.drain(..).map(|done| Done { outcome: Outcome::Ok, ..done }));
+        }
+    }
+
+    /// Whether the picture that was to be kept could be copied.
+    pub fn kept(&mut self, taken: bool) {
+        if !taken {
+            let shots = self.done.iter_mut().filter(|done| done.action == Some(Action::Snapshot));
+            shots.for_each(|done| done.outcome = Outcome::Error);
+        }
     }
 
     /// Whether the screen is dark because someone wished so.
@@ -130,8 +211,10 @@ impl Presses {
         &self.picture
     }
 
-    /// A new picture was drawn: kept, if it is to stand still.
-    pub fn drawn(&mut self, canvas: &Rgb) {
+    /// A new picture was drawn, with these markers in it: kept, if it is to stand still.
+    pub fn drawn(&mut self, canvas: &Rgb, sightings: &[Sighting]) {
+        let quality = |margin: f32| (margin.clamp(0.0, 255.0) * (99.0 / 255.0)) as u8;
+        self.markers = sightings.iter().map(|s| (s.id, quality(s.margin))).collect();
         if self.still == Still::Wanted {
             self.picture.copy_from(canvas);
             self.still = Still::Frozen;
@@ -139,8 +222,8 @@ impl Presses {
     }
 
     /// The picture numbered `sequence` is shown: tells the board what presses did, and how the visor is.
-    pub fn shown(&mut self, sequence: u64, style: StyleName, sightings: &[Sighting]) {
-        let Some(port) = &self.port else { return };
+    pub fn shown(&mut self, sequence: u64, tally: &Tally) {
+        let Some(port) = &self.port else { return self.done.clear() };
         for Done { button, action, outcome } in self.done.drain(..) {
             port.acted(button, action, outcome, sequence);
         }
@@ -150,17 +233,39 @@ impl Presses {
             self.fps10 = (f64::from(self.shown) * 10.0 / past.as_secs_f64() + 0.5) as u32;
             (self.since, self.shown) = (Instant::now(), 0);
         }
-        let quality = |margin: f32| (margin.clamp(0.0, 255.0) * (99.0 / 255.0)) as u8;
-        let markers: Markers = sightings.iter().map(|s| (s.id, quality(s.margin))).collect();
-        let mode = if self.still == Still::Dark { Mode::Standby } else { Mode::Run };
-        port.tell(Status { mode, fps10: self.fps10, style: style.name(), faults: 0, markers });
+        let markers = if self.still == Still::No { self.markers } else { Markers::default() };
+        port.tell(Status { fps10: self.fps10, markers, ..status(tally) });
+        match port.is_up() {
+            true => {
+                tally.faults.clear(Fault::ButtonsGone);
+            }
+            false if self.began.elapsed() > GREETING => {
+                tally.faults.raise(Fault::ButtonsGone);
+            }
+            false => {}
+        }
     }
 
     /// No picture came for a while.
-    pub fn starved(&mut self, style: StyleName) {
+    pub fn starved(&mut self, tally: &Tally) {
         if let Some(port) = &self.port {
-            let mode = Mode::NoCamera;
-            port.tell(Status { mode, fps10: 0, style: style.name(), faults: 1, markers: Markers::default() });
+            let Status { mode, faults, style, .. } = status(tally);
+            // nothing is told to be wrong yet: the picture is only late
+            let mode = if mode == Mode::Run || mode == Mode::Degraded { Mode::NoCamera } else { mode };
+            let faults = faults | if mode == Mode::NoCamera && faults & 7 == 0 { 2 } else { 0 };
+            port.tell(Status { mode, faults, style, ..Status::default() });
         }
     }
+}
+
+/// How the visor is, as far as counted.
+fn status(tally: &Tally) -> Status {
+    let mode = match super::run::mode(tally) {
+        "standby" => Mode::Standby,
+        "no-display" => Mode::NoDisplay,
+        "no-camera" => Mode::NoCamera,
+        "degraded" => Mode::Degraded,
+        _ => Mode::Run,
+    };
+    Status { mode, style: tally.style().name(), faults: tally.faults.mask(), ..Status::default() }
 }

@@ -139,12 +139,7 @@ fn draw_all(
         if let Some(entry) = source.recorded() {
             compared += 1;
             let [width, height] = entry.mode.map(|v| v as usize);
-            let screen = display::compose(
-                drawn.canvas,
-                Size::new(width, height),
-                config.display.scale,
-                config.display.filter,
-            );
+            let screen = display::compose(drawn.canvas, Size::new(width, height), config.display.layout());
             same += u64::from(screen.hash() == entry.shown_hash);
         }
         bar.inc(1);

@@ -21,6 +21,7 @@ pub struct Service {
 #[derive(Default)]
 struct Told {
     shown: AtomicU64,
+    waited: AtomicU64,
     stop: AtomicBool,
 }
 
@@ -49,6 +50,13 @@ impl Service {
     }
 }
 
+impl Service {
+    /// Nothing could be shown, and that is known: no screen is there, or the screen is dark by wish. The loop is alive.
+    pub fn alive(&self) {
+        self.told.waited.fetch_add(1, Ordering::Relaxed);
+    }
+}
+
 impl Drop for Service {
     fn drop(&mut self) {
         self.told.stop.store(true, Ordering::Relaxed);
@@ -66,13 +74,14 @@ fn report(told: &Told) {
     let (mut ready, mut last) = (false, 0);
     while !told.stop.load(Ordering::Relaxed) {
         let shown = told.shown.load(Ordering::Relaxed);
+        let waited = told.waited.load(Ordering::Relaxed);
         if shown > 0 && !ready {
             ready = true;
             tell(&[NotifyState::Ready, NotifyState::Status("showing pictures")]);
-        } else if shown != last && watchdog.is_some() {
+        } else if shown + waited != last && watchdog.is_some() {
             tell(&[NotifyState::Watchdog]);
         }
-        last = shown;
+        last = shown + waited;
         std::thread::park_timeout(every);
     }
     tell(&[NotifyState::Stopping]);

@@ -49,6 +49,10 @@ pub enum Action {
     Freeze,
     /// The screen goes dark, or comes back.
     Standby,
+    /// The next of `scenes`.
+    SceneNext,
+    /// The picture is kept, where `[snapshot]` says so.
+    Snapshot,
 }
 
 impl Action {
@@ -59,6 +63,8 @@ impl Action {
             Action::StylePrevious => "style-previous",
             Action::Freeze => "freeze",
             Action::Standby => "standby",
+            Action::SceneNext => "scene-next",
+            Action::Snapshot => "snapshot",
         }
     }
 }

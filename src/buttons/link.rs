@@ -39,6 +39,10 @@ pub enum Ask {
     Style(usize),
     /// Standby, or its end.
     Standby(bool),
+    /// The scene with this number in the list that the link was given.
+    Scene(usize),
+    /// The picture is to be kept.
+    Shot,
 }
 
 /// How the visor is.
@@ -133,6 +137,8 @@ enum State {
 pub struct Link {
     console: Console,
     styles: Vec<&'static str>,
+    scenes: Vec<String>,
+    shots: bool,
     state: State,
     wire: Wire,
     presses: Presses,
@@ -161,6 +167,8 @@ impl Link {
         Self {
             console: config.console,
             styles,
+            scenes: Vec::new(),
+            shots: false,
             state: State::Closed { again: Duration::ZERO, pause: REOPEN[0] },
             wire: Wire::default(),
             presses: Presses::new(&config.wanted()),
@@ -178,6 +186,11 @@ impl Link {
             noisy: 0,
             out: Vec::new(),
         }
+    }
+
+    /// The same link; `scenes` may be asked for too, and pictures to be kept where `shots` says so.
+    pub fn offering(self, scenes: Vec<String>, shots: bool) -> Self {
+        Self { scenes, shots, ..self }
     }
 
     /// Whether a board answered and is heard from.
@@ -373,7 +386,12 @@ impl Link {
                 None => self.say(&Said::Nak(seq, "unknown-style")),
             },
             Heard::Standby(on) => self.accept(seq, again, Ask::Standby(on), asks),
-            Heard::SetScene(_) | Heard::Shot => self.say(&Said::Nak(seq, "off")),
+            Heard::SetScene(name) => match self.scenes.iter().position(|known| *known == name) {
+                Some(scene) => self.accept(seq, again, Ask::Scene(scene), asks),
+                None => self.say(&Said::Nak(seq, "unknown-scene")),
+            },
+            Heard::Shot if self.shots => self.accept(seq, again, Ask::Shot, asks),
+            Heard::Shot => self.say(&Said::Nak(seq, "off")),
             Heard::Ping => self.say(&Said::Ack(seq)),
             Heard::Hello { .. } => {}
         }

@@ -3,11 +3,12 @@
 //! Comes in: bytes of a serial port; goes out: presses, and lines that tell the board and whoever listens what the
 //! visor does. Pure from the inside out: `codec` (bytes ↔ messages), `press` (edges and states on the board's clock →
 //! presses), `link` (handshake, acknowledgements, heartbeat; time is passed in); only `port` has a thread and a
-//! device. What a press means to the appliance is decided in `app`.
+//! device. What a press means to the appliance is decided in `app`. `keys`: keys of the kernel's input layer beside them.
 
 mod codec;
 mod config;
 mod console;
+pub mod keys;
 mod link;
 mod port;
 mod press;

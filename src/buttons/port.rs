@@ -45,29 +45,43 @@ pub struct Port {
     asks: Receiver<Ask>,
     acts: SyncSender<Act>,
     status: Arc<Mutex<Status>>,
+    up: Arc<AtomicBool>,
     stop: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
 }
 
 impl Port {
-    /// Begins to listen on `config.port`; `None` where there is none. `styles`: names that may be asked for.
-    pub fn start(config: &Config, styles: Vec<&'static str>) -> Result<Option<Port>, PortError> {
+    /// Begins to listen on `config.port`; `None` where there is none. `styles`, `scenes`: names that may be asked for;
+    /// `shots`: whether pictures may be.
+    pub fn start(
+        config: &Config,
+        styles: Vec<&'static str>,
+        scenes: Vec<String>,
+        shots: bool,
+    ) -> Result<Option<Port>, PortError> {
         let Some(path) = config.port.clone() else { return Ok(None) };
         let (ask, asks) = sync_channel(QUEUE);
         let (acts, act) = sync_channel(QUEUE);
         let (status, stop) = (Arc::new(Mutex::new(Status::default())), Arc::new(AtomicBool::new(false)));
-        let link = Link::new(config, styles);
+        let link = Link::new(config, styles).offering(scenes, shots);
         let (baud, device) = (config.baud, path.clone());
-        let (seen, stopped) = (status.clone(), stop.clone());
-        let listen = move || Listener { link, ask, act, status: seen }.listen(&device, baud, &stopped);
+        let (seen, stopped, up) = (status.clone(), stop.clone(), Arc::<AtomicBool>::default());
+        let is_up = up.clone();
+        let listen =
+            move || Listener { link, ask, act, status: seen, up: is_up }.listen(&device, baud, &stopped);
         let thread = std::thread::Builder::new().name("buttons".into()).spawn(listen);
         let thread = thread.map_err(|reason| PortError::Thread { path, reason })?;
-        Ok(Some(Port { asks, acts, status, stop, thread: Some(thread) }))
+        Ok(Some(Port { asks, acts, status, up, stop, thread: Some(thread) }))
     }
 
     /// What was asked since the last call, oldest first. Never waits.
     pub fn asked(&self) -> impl Iterator<Item = Ask> + '_ {
         self.asks.try_iter()
+    }
+
+    /// Whether a board answers.
+    pub fn is_up(&self) -> bool {
+        self.up.load(Ordering::Relaxed)
     }
 
     /// Tells what a press did, and the number of the frame in which it shows. Never waits.
@@ -101,6 +115,7 @@ struct Listener {
     ask: SyncSender<Ask>,
     act: Receiver<Act>,
     status: Arc<Mutex<Status>>,
+    up: Arc<AtomicBool>,
 }
 
 impl Listener {
@@ -172,6 +187,7 @@ impl Listener {
         let mut asks = Vec::new();
         self.link.receive(bytes, now, &mut asks);
         self.link.tick(now, &mut asks);
+        self.up.store(self.link.is_up(), Ordering::Relaxed);
         for ask in asks {
             // a full queue means a frame loop that hangs: old presses are worth nothing to a visitor then
             let _ = self.ask.try_send(ask);

@@ -106,6 +106,11 @@ impl Grabber {
         }
     }
 
+    /// The stream begins anew: its running number may begin anywhere.
+    pub(super) fn restarted(&mut self) {
+        (self.sequence, self.fault) = (Sequence::default(), None);
+    }
+
     /// Decodes the newest good buffer into `frame`; `false` when none came in time. `frame` keeps its
     /// picture unless `true` is returned.
     pub(super) fn grab(

@@ -6,6 +6,7 @@
 //! decides anything: see `v4l2.rs`.
 #![allow(unsafe_code)]
 
+use super::controls::{Control, plain_name};
 use super::grab::{Buffers, Dequeued};
 use std::io::{Error, ErrorKind, Result};
 use std::os::raw::c_void;
@@ -16,12 +17,24 @@ use v4l::v4l2::{self, vidioc};
 
 const CAPTURE: u32 = sys::v4l2_buf_type_V4L2_BUF_TYPE_VIDEO_CAPTURE;
 const MMAP: u32 = sys::v4l2_memory_V4L2_MEMORY_MMAP;
-/// `poll`'s "there is something to read" and `mmap`'s read, write, shared: one value on all of Linux.
+/// `poll`'s "there is something to read" and "there is an event", `mmap`'s read, write, shared: one value on all of
+/// Linux.
 const POLLIN: i16 = 1;
+const POLLPRI: i16 = 2;
 const PROT_READ_WRITE: i32 = 3;
 const MAP_SHARED: i32 = 1;
 /// A driver that lists more formats, or hands out more buffers, is broken.
 const MOST: u32 = 64;
+
+/// Two ioctls that the crate does not list: `_IOR('V', 89, struct v4l2_event)` and `_IOW('V', 90, struct
+/// v4l2_event_subscription)` of `linux/videodev2.h`.
+const VIDIOC_DQEVENT: vidioc::_IOC_TYPE = request(2, size_of::<sys::v4l2_event>(), 89);
+const VIDIOC_SUBSCRIBE_EVENT: vidioc::_IOC_TYPE = request(1, size_of::<sys::v4l2_event_subscription>(), 90);
+
+/// `_IOC` of `asm-generic/ioctl.h`: direction, size, type, number.
+const fn request(direction: u32, size: usize, number: u32) -> vidioc::_IOC_TYPE {
+    (direction << 30 | (size as u32) << 16 | (b'V' as u32) << 8 | number) as vidioc::_IOC_TYPE
+}
 
 /// An open video node.
 pub(super) struct Device(v4l::Device);
@@ -72,6 +85,12 @@ unsafe impl Plain for sys::v4l2_pix_format {}
 unsafe impl Plain for sys::v4l2_requestbuffers {}
 // SAFETY: as above.
 unsafe impl Plain for sys::v4l2_buffer {}
+// SAFETY: as above.
+unsafe impl Plain for sys::v4l2_queryctrl {}
+// SAFETY: as above.
+unsafe impl Plain for sys::v4l2_event {}
+// SAFETY: as above.
+unsafe impl Plain for sys::v4l2_event_subscription {}
 
 fn zeroed<T: Plain>() -> T {
     // SAFETY: `Plain` promises that zeros are valid.
@@ -157,7 +176,7 @@ impl Device {
         // SAFETY: REQBUFS takes a v4l2_requestbuffers.
         unsafe { ioctl(&self.0, vidioc::VIDIOC_REQBUFS, &mut request)? };
         // from here on dropping the stream gives the buffers back
-        let mut stream = Stream { device: self.0, buffers: Vec::new() };
+        let mut stream = Stream { device: self.0, buffers: Vec::new(), changed: false };
         if !(2..=MOST).contains(&request.count) {
             return Err(Error::other(format!("the driver offers {} buffers", request.count)));
         }
@@ -171,12 +190,10 @@ impl Device {
                 .buffers
                 .push(Buffer { map: Mapping::new(&stream.device, buffer.length, offset)?, ours: true });
         }
-        for index in 0..stream.buffers.len() {
-            stream.queue(index)?;
-        }
-        let mut kind = CAPTURE;
-        // SAFETY: STREAMON takes an int-sized buffer type.
-        unsafe { ioctl(&stream.device, vidioc::VIDIOC_STREAMON, &mut kind)? };
+        let mut wish = sys::v4l2_event_subscription { type_: sys::V4L2_EVENT_SOURCE_CHANGE, ..zeroed() };
+        // SAFETY: SUBSCRIBE_EVENT takes a v4l2_event_subscription. Cameras without such events refuse: nothing lost.
+        let _ = unsafe { ioctl(&stream.device, VIDIOC_SUBSCRIBE_EVENT, &mut wish) };
+        stream.start()?;
         Ok(stream)
     }
 }
@@ -219,6 +236,99 @@ struct Buffer {
 pub(super) struct Stream {
     device: v4l::Device,
     buffers: Vec<Buffer>,
+    /// The source has another signal than when the stream was started.
+    changed: bool,
+}
+
+impl Stream {
+    /// Queues every buffer that is ours and starts.
+    fn start(&mut self) -> Result<()> {
+        for index in 0..self.buffers.len() {
+            self.queue(index)?;
+        }
+        let mut kind = CAPTURE;
+        // SAFETY: STREAMON takes an int-sized buffer type.
+        unsafe { ioctl(&self.device, vidioc::VIDIOC_STREAMON, &mut kind) }
+    }
+
+    /// Stops, takes every buffer back and starts again.
+    pub(super) fn restart(&mut self) -> Result<()> {
+        let mut kind = CAPTURE;
+        // SAFETY: STREAMOFF takes an int-sized buffer type; it gives all buffers back to us.
+        unsafe { ioctl(&self.device, vidioc::VIDIOC_STREAMOFF, &mut kind)? };
+        self.buffers.iter_mut().for_each(|buffer| buffer.ours = true);
+        self.start()
+    }
+}
+
+impl Stream {
+    /// Whether the source has another signal (size, rate) than when the stream was started.
+    pub(super) fn has_changed(&self) -> bool {
+        self.changed
+    }
+
+    /// Takes the events that wait.
+    fn hear(&mut self) {
+        for _ in 0..MOST {
+            let mut event: sys::v4l2_event = zeroed();
+            // SAFETY: DQEVENT takes a v4l2_event.
+            if unsafe { ioctl(&self.device, VIDIOC_DQEVENT, &mut event) }.is_err() {
+                break;
+            }
+            // SAFETY: all variants are integers, zero where the kernel wrote less.
+            let changes = unsafe { event.u.src_change.changes };
+            let size = sys::V4L2_EVENT_SRC_CH_RESOLUTION;
+            self.changed |= event.type_ == sys::V4L2_EVENT_SOURCE_CHANGE && changes & size != 0;
+            if event.pending == 0 {
+                break;
+            }
+        }
+    }
+
+    /// The controls that can be set, in the driver's order.
+    pub(super) fn controls(&self) -> Vec<Control> {
+        let mut found = Vec::new();
+        let mut id = 0;
+        for _ in 0..16 * MOST {
+            let mut query = sys::v4l2_queryctrl { id: id | sys::V4L2_CTRL_FLAG_NEXT_CTRL, ..zeroed() };
+            // SAFETY: QUERYCTRL takes a v4l2_queryctrl.
+            let asked = unsafe { ioctl(&self.device, vidioc::VIDIOC_QUERYCTRL, &mut query) };
+            // a driver that does not go on would never end
+            if asked.is_err() || query.id <= id {
+                break;
+            }
+            id = query.id;
+            let fixed = sys::V4L2_CTRL_FLAG_DISABLED | sys::V4L2_CTRL_FLAG_READ_ONLY;
+            if query.flags & fixed == 0 {
+                let end = query.name.iter().position(|&b| b == 0).unwrap_or(query.name.len());
+                found.push(Control {
+                    id,
+                    name: plain_name(&String::from_utf8_lossy(&query.name[..end])),
+                    min: query.minimum.into(),
+                    max: query.maximum.into(),
+                    step: i64::from(query.step).max(1),
+                });
+            }
+        }
+        found
+    }
+
+    /// What a control is set to.
+    pub(super) fn control(&self, id: u32) -> Result<i64> {
+        let mut control = sys::v4l2_control { id, value: 0 };
+        // SAFETY: G_CTRL takes a v4l2_control.
+        unsafe { ioctl(&self.device, vidioc::VIDIOC_G_CTRL, &mut control)? };
+        Ok(control.value.into())
+    }
+
+    /// Sets a control; what it then holds.
+    pub(super) fn set_control(&self, id: u32, value: i64) -> Result<i64> {
+        let value = i32::try_from(value).map_err(|_| Error::from(ErrorKind::InvalidInput))?;
+        let mut control = sys::v4l2_control { id, value };
+        // SAFETY: S_CTRL takes a v4l2_control.
+        unsafe { ioctl(&self.device, vidioc::VIDIOC_S_CTRL, &mut control)? };
+        self.control(id)
+    }
 }
 
 impl Buffers for Stream {
@@ -228,8 +338,13 @@ impl Buffers for Stream {
 
     fn wait(&mut self, timeout: Duration) -> Result<bool> {
         let ms = timeout.as_micros().div_ceil(1000).min(60_000) as i32;
-        match self.device.handle().poll(POLLIN, ms) {
-            Ok(ready) => Ok(ready > 0),
+        match self.device.handle().poll(POLLIN | POLLPRI, ms) {
+            Ok(ready) => {
+                if ready > 0 {
+                    self.hear();
+                }
+                Ok(ready > 0)
+            }
             Err(error) if error.kind() == ErrorKind::Interrupted => Ok(false),
             Err(error) => Err(error),
         }

@@ -1,5 +1,6 @@
 //! The display's settings: the `[display]` table of the visor file.
 
+use super::{Layout, Rotate};
 use crate::pixels::Size;
 use serde::Deserialize;
 use std::path::PathBuf;
@@ -22,6 +23,12 @@ pub struct Config {
     pub scale: Scale,
     /// How `"fit"` samples: `"bilinear"` (the default) or `"nearest"`.
     pub filter: Filter,
+    /// Turns the picture clockwise: 0 (the default), 90, 180 or 270 degrees; for screens built in the other way.
+    pub rotate: Rotate,
+    /// Whether left and right change places, after turning: for screens seen in a mirror. Default false.
+    pub mirror: bool,
+    /// Whether the picture is shown twice side by side, for visors with two lenses. Default false.
+    pub stereo: bool,
     /// Frames per second written into a clip's header, 1 or more.
     pub fps: u32,
 }
@@ -35,8 +42,19 @@ impl Default for Config {
             mode: None,
             scale: Scale::default(),
             filter: Filter::default(),
+            rotate: Rotate::default(),
+            mirror: false,
+            stereo: false,
             fps: 30,
         }
+    }
+}
+
+impl Config {
+    /// Where every pixel of the canvas goes. Files hold the canvas as it is.
+    pub fn layout(&self) -> Layout {
+        let &Self { scale, filter, rotate, mirror, stereo, .. } = self;
+        Layout { scale, filter, rotate, mirror, stereo }
     }
 }
 

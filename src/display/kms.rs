@@ -2,15 +2,17 @@
 //!
 //! One buffer is on the screen, one may be waiting for its flip, one is free to be written: a picture is never
 //! seen half drawn, and writing never waits for the screen. A flip's event may never come (an unplugged
-//! cable, a sleeping screen): after a time-out we count it and go on. What the screen showed before is put back
-//! when the sink is dropped.
+//! cable, a sleeping screen): after a time-out we count it, and `flips` says how to go on. What the screen showed before
+//! is put back when the sink is dropped.
 
 use super::card::{Card, Screen, mode_size};
+use super::flips::{Flips, Next};
 use super::xrgb::Hash;
 use super::{Composer, Config, DisplayError, Shown, Xrgb};
 use crate::frame::now;
 use crate::pixels::{Rgb, Size};
 use drm::buffer::{Buffer as _, DrmFourcc};
+use drm::control::connector::State;
 use drm::control::dumbbuffer::{DumbBuffer, DumbMapping};
 use drm::control::{Device as _, Event, PageFlipFlags, crtc, framebuffer};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
@@ -19,8 +21,6 @@ use std::time::Duration;
 
 /// How long a flip may take: several periods of the slowest screen.
 const FLIP_TIMEOUT: Duration = Duration::from_millis(100);
-/// Flips refused in a row after which the card is called stuck.
-const REFUSALS: u32 = 5;
 
 /// An open kernel display.
 pub struct Kms {
@@ -34,8 +34,7 @@ pub struct Kms {
     pending: Option<usize>,
     /// When the front buffer came on the screen, until `present` has told.
     flipped_at: Option<Duration>,
-    lost_flips: u64,
-    refused: u32,
+    flips: Flips,
 }
 
 /// One scan-out buffer.
@@ -49,19 +48,18 @@ struct ScanOut {
 impl Kms {
     /// Finds the screen, sets its mode and shows black.
     pub fn open(config: &Config, canvas: Size) -> Result<Self, DisplayError> {
-        let screen = Screen::find(config, canvas)?;
+        let screen = Screen::find(config, config.layout().mode(canvas))?;
         let size = mode_size(&screen.mode);
         let before = screen.card.get_crtc(screen.crtc).ok();
         let mut kms = Self {
-            composer: Composer::new(size, config.scale, config.filter),
+            composer: Composer::new(size, config.layout()),
             screen,
             before,
             buffers: Vec::with_capacity(3),
             front: 0,
             pending: None,
             flipped_at: None,
-            lost_flips: 0,
-            refused: 0,
+            flips: Flips::default(),
         };
         for _ in 0..3 {
             let buffer = kms.make_buffer(size)?;
@@ -115,22 +113,32 @@ impl Kms {
         self.buffers[free].write(image);
         self.wait_for_flip();
         let previous = self.flipped_at.take();
-        let Screen { card, crtc, .. } = &self.screen;
-        if let Some(framebuffer) = self.buffers[free].framebuffer {
-            match card.page_flip(*crtc, framebuffer, PageFlipFlags::EVENT, None) {
-                Ok(()) => {
-                    self.pending = Some(free);
-                    self.refused = 0;
-                }
-                // the last flip's event was lost, or it still waits: this picture is dropped, not the sink
-                Err(error) if busy_error(&error) && self.refused < REFUSALS => self.refused += 1,
-                Err(error) if busy_error(&error) => {
-                    return Err(DisplayError::Stuck { card: card.path.clone() });
-                }
-                Err(error) => return Err(refused(card, "flip to a picture", error)),
+        match self.flips.next() {
+            Next::Flip => self.flip(free)?,
+            Next::SetMode => {
+                self.front = free;
+                self.show_front()?;
+                self.flips.set();
+                self.flipped_at = Some(now());
             }
+            Next::GiveUp => return Err(DisplayError::Stuck { card: self.screen.card.path.clone() }),
         }
         Ok(Shown { at: now(), previous })
+    }
+
+    fn flip(&mut self, free: usize) -> Result<(), DisplayError> {
+        let Screen { card, crtc, .. } = &self.screen;
+        let Some(framebuffer) = self.buffers[free].framebuffer else { return Ok(()) };
+        match card.page_flip(*crtc, framebuffer, PageFlipFlags::EVENT, None) {
+            Ok(()) => {
+                self.pending = Some(free);
+                self.flips.queued();
+            }
+            // the last flip's event was lost, or it still waits: this picture is dropped, not the sink
+            Err(error) if busy_error(&error) => self.flips.refused(),
+            Err(error) => return Err(refused(card, "flip to a picture", error)),
+        }
+        Ok(())
     }
 
     /// Waits until no flip is pending, or gives it up.
@@ -148,8 +156,9 @@ impl Kms {
                 }
             }
         }
-        if ended.is_none() {
-            self.lost_flips += 1;
+        match ended {
+            Some(_) => self.flips.ended(),
+            None => self.flips.late(),
         }
         self.front = waiting;
         self.flipped_at = ended;
@@ -182,6 +191,20 @@ impl Kms {
         hash.finish()
     }
 
+    /// See [`super::Sink::check`].
+    pub fn check(&self) -> Result<(), DisplayError> {
+        let Screen { card, connector, name, .. } = &self.screen;
+        // without a probe: the kernel hears of cables by itself
+        let state =
+            card.get_connector(*connector, false).map_err(|e| refused(card, "look at its screen", e))?;
+        match state.state() {
+            State::Disconnected => {
+                Err(DisplayError::Unplugged { card: card.path.clone(), screen: name.clone() })
+            }
+            _ => Ok(()),
+        }
+    }
+
     /// Size of the mode.
     pub fn mode(&self) -> Size {
         mode_size(&self.screen.mode)
@@ -189,7 +212,7 @@ impl Kms {
 
     /// Flips whose event never came within the time-out.
     pub fn lost_flips(&self) -> u64 {
-        self.lost_flips
+        self.flips.lost()
     }
 }
 

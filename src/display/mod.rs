@@ -12,7 +12,10 @@
 mod card;
 mod config;
 #[cfg(target_os = "linux")]
+mod flips;
+#[cfg(target_os = "linux")]
 mod kms;
+mod layout;
 mod png_dir;
 mod slate;
 mod xrgb;
@@ -21,6 +24,7 @@ mod y4m;
 pub use config::{Config, Filter, Kind, ModeSize, Scale};
 #[cfg(target_os = "linux")]
 pub use kms::Kms;
+pub use layout::{Layout, Rotate};
 pub use png_dir::PngDir;
 pub use slate::Slate;
 pub use xrgb::{Composer, Xrgb, compose};
@@ -64,6 +68,14 @@ pub enum DisplayError {
     Stuck {
         /// The card's node.
         card: PathBuf,
+    },
+    /// The cable was pulled out.
+    #[error("{}: {screen} is unplugged; plug it in again", card.display())]
+    Unplugged {
+        /// The card's node.
+        card: PathBuf,
+        /// The connector's name.
+        screen: String,
     },
     /// The sink writes files, and the settings do not say where.
     #[error("display.sink = \"{sink}\" needs display.path: name a {what}")]
@@ -171,6 +183,16 @@ impl Sink {
             #[cfg(target_os = "linux")]
             Sink::Kms(kms) => Some(kms.scan_out_hash()),
             _ => None,
+        }
+    }
+
+    /// Whether the screen is still there: a quick look at its connector, to be taken once a second or so. Files always
+    /// are.
+    pub fn check(&self) -> Result<(), DisplayError> {
+        match self {
+            #[cfg(target_os = "linux")]
+            Sink::Kms(kms) => kms.check(),
+            _ => Ok(()),
         }
     }
 

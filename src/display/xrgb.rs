@@ -3,7 +3,7 @@
 //! All arithmetic is on integers, so that every machine composes the same bytes. Rows are worked on in
 //! parallel bands; buffers are kept from picture to picture.
 
-use super::{Filter, Scale};
+use super::{Filter, Layout, Scale};
 use crate::pixels::simd::{Level, dispatch};
 use crate::pixels::{Rgb, Size, simd};
 use fearless_simd::Simd;
@@ -77,8 +77,8 @@ impl Hash {
 }
 
 /// What a screen of `mode` pixels shows of `canvas`: the same bytes that a KMS sink of these settings shows.
-pub fn compose(canvas: &Rgb, mode: Size, scale: Scale, filter: Filter) -> Xrgb {
-    let mut composer = Composer::new(mode, scale, filter);
+pub fn compose(canvas: &Rgb, mode: Size, layout: impl Into<Layout>) -> Xrgb {
+    let mut composer = Composer::new(mode, layout);
     composer.compose(canvas);
     composer.image
 }
@@ -86,10 +86,11 @@ pub fn compose(canvas: &Rgb, mode: Size, scale: Scale, filter: Filter) -> Xrgb {
 /// Places canvases on a screen; keeps its buffers and tables while the canvas keeps its size.
 #[derive(Debug)]
 pub struct Composer {
-    scale: Scale,
-    filter: Filter,
+    layout: Layout,
     level: Level,
     image: Xrgb,
+    /// The canvas turned, where it is.
+    turned: Rgb,
     /// What the tables below were made for.
     canvas: Option<Size>,
     place: Place,
@@ -101,12 +102,12 @@ pub struct Composer {
 
 impl Composer {
     /// For a screen of `mode` pixels.
-    pub fn new(mode: Size, scale: Scale, filter: Filter) -> Self {
+    pub fn new(mode: Size, layout: impl Into<Layout>) -> Self {
         Self {
-            scale,
-            filter,
+            layout: layout.into(),
             level: simd::best(),
             image: Xrgb::new(mode),
+            turned: Rgb::default(),
             canvas: None,
             place: Place::default(),
             columns: Vec::new(),
@@ -122,49 +123,69 @@ impl Composer {
 
     /// Composes one canvas; allocates only when the canvas's size changes.
     pub fn compose(&mut self, canvas: &Rgb) -> &Xrgb {
+        if self.layout.turns() {
+            let mut turned = std::mem::take(&mut self.turned);
+            self.layout.turn(canvas, &mut turned);
+            self.place(&turned);
+            self.turned = turned;
+        } else {
+            self.place(canvas);
+        }
+        &self.image
+    }
+
+    /// Places a canvas that is turned as it is to be shown.
+    fn place(&mut self, canvas: &Rgb) {
         if self.canvas != Some(canvas.size()) {
             self.lay_out(canvas.size());
         }
         let place = self.place;
         if place.shown.area() == 0 {
-            return &self.image;
+            return;
         }
         let pitch = self.image.size.width * 4;
         let inside = place.left * 4..(place.left + place.shown.width) * 4;
+        // the right eye's picture is the left one's, so many bytes further
+        let other = self.layout.stereo.then_some(self.layout.eye(self.image.size).width * 4);
         let used = &mut self.image.bytes[place.top * pitch..][..place.shown.height * pitch];
         let bands = used.par_chunks_mut(BAND * pitch).enumerate();
-        let (level, columns, rows) = (self.level, &self.columns[..], &self.rows[..]);
+        let (columns, rows) = (&self.columns[..], &self.rows[..]);
         let straight = columns.is_empty();
         let scratch = 3 * canvas.size().width.max(1);
         // pixel for pixel needs no scratch, yet the zip wants as many chunks as bands
         let blended = self.blended.par_chunks_mut(if straight { 1 } else { scratch });
+        let (layout, level) = (self.layout, self.level);
         bands.zip(blended).for_each(|((band, bytes), blended)| {
             let outs = bytes.chunks_exact_mut(pitch).enumerate();
             let outs = outs.map(|(row, out)| (band * BAND + row, &mut out[inside.clone()]));
             if straight {
                 dispatch!(level, simd => pack_band(simd, canvas, place, outs));
-            } else if self.filter == Filter::Nearest {
+            } else if layout.filter == Filter::Nearest {
                 nearest_band(canvas, columns, rows, outs);
             } else {
                 dispatch!(level, simd => bilinear_band(simd, canvas, columns, rows, blended, outs));
             }
+            if let Some(other) = other {
+                for row in bytes.chunks_exact_mut(pitch) {
+                    row.copy_within(inside.clone(), inside.start + other);
+                }
+            }
         });
-        &self.image
     }
 
     fn lay_out(&mut self, canvas: Size) {
         self.canvas = Some(canvas);
         self.image.bytes.fill(0);
-        self.place = Place::new(canvas, self.image.size, self.scale);
+        self.place = Place::new(canvas, self.layout.eye(self.image.size), self.layout.scale);
         let shown = self.place.shown;
         let bands = shown.height.div_ceil(BAND);
         self.columns.clear();
         self.rows.clear();
         self.blended.clear();
-        if self.scale == Scale::OneToOne || shown == canvas {
+        if self.layout.scale == Scale::OneToOne || shown == canvas {
             self.blended.resize(bands, 0);
         } else {
-            let tap = match self.filter {
+            let tap = match self.layout.filter {
                 Filter::Nearest => Tap::nearest,
                 Filter::Bilinear => Tap::bilinear,
             };

@@ -4,6 +4,7 @@
 //! rayon pool; after the first frames of a size nothing is allocated.
 
 mod anchor;
+pub mod governor;
 mod latest;
 mod plan;
 mod stylers;
@@ -41,6 +42,7 @@ pub struct Pipeline {
     tracker: Tracker,
     renderer: Renderer,
     stylers: Stylers,
+    style: style::Config,
     retouch: Retouch,
     retouches: Retouches,
     part: Option<Part>,
@@ -97,7 +99,8 @@ impl Pipeline {
             wanted,
             tracker,
             renderer: Renderer::new(level),
-            stylers: Stylers::new(style, level),
+            stylers: Stylers::new(style, level, false),
+            style: style.clone(),
             canvas: Rgb::default(),
             other: Rgb::default(),
             level,
@@ -109,6 +112,22 @@ impl Pipeline {
         self.retouch = Retouch::new(config, &self.scene, self.level);
         self.retouches = config.into();
         self
+    }
+
+    /// The same pipeline, with simpler forms of every style built ahead: see [`Pipeline::set_quality`].
+    pub fn governed(mut self) -> Self {
+        self.stylers = Stylers::new(&self.style, self.level, true);
+        self
+    }
+
+    /// How many forms the style in front has, the full one included; 1 unless governed.
+    pub fn forms(&self) -> usize {
+        self.stylers.forms()
+    }
+
+    /// Draws so much simpler from the next frame on, each style as far as it goes; 0 = in full. Allocates nothing.
+    pub fn set_quality(&mut self, quality: usize) {
+        self.stylers.set_quality(quality);
     }
 
     /// The style in front, or the one that a fade will bring there.
@@ -131,6 +150,25 @@ impl Pipeline {
         self.stylers.step(steps);
     }
 
+    /// The style that the first frame is drawn in, of those built ahead; without a fade.
+    pub fn begin_with(&mut self, style: StyleName) {
+        self.stylers.begin_with(style);
+    }
+
+    /// Gives every style its buffers for pictures of `size`, before the first one comes. Allocates; call it inside a
+    /// pool.
+    pub fn prepare(&mut self, size: Size) {
+        self.canvas.resize(size);
+        for slot in 0..self.stylers.len() {
+            self.warm(slot, size);
+        }
+    }
+
+    /// The picture last drawn.
+    pub fn canvas(&self) -> &Rgb {
+        &self.canvas
+    }
+
     /// Draws one picture nobody sees, so that the style in `slot` has its buffers before it is wanted.
     fn warm(&mut self, slot: usize, size: Size) {
         if size.area() == 0 {
@@ -149,11 +187,12 @@ impl Pipeline {
         let frame = Frame { luma: Plane::new(size, 128), color, ..Frame::default() };
         let mut layer = empty_layer(size);
         layer.particles.reserve(self.renderer.layer().particles.capacity());
-        let styler = self.stylers.get(slot);
-        styler.anchor(self.anchor.is_some().then_some(Similarity::IDENTITY));
         self.other.resize(size);
-        styler.draw(StyleInput { frame: &frame, layer: Some(&layer) }, &mut self.other);
-        styler.restart();
+        for styler in self.stylers.all(slot) {
+            styler.anchor(self.anchor.is_some().then_some(Similarity::IDENTITY));
+            styler.draw(StyleInput { frame: &frame, layer: Some(&layer) }, &mut self.other);
+            styler.restart();
+        }
     }
 
     /// The lens frames are seen through.
@@ -177,6 +216,7 @@ impl Pipeline {
             needs: stylers.needs(),
             filters: stylers.filters(),
             fades: stylers.is_fading(),
+            quality: stylers.quality(),
             part: self.part.as_ref().map(Part::of),
             anchored: self.anchor.is_some(),
             retouch: self.retouches,
@@ -259,7 +299,7 @@ impl Pipeline {
     /// Takes another picture size: every style that may be asked for gets its buffers.
     fn resize(&mut self, size: Size) {
         self.canvas.resize(size);
-        if self.stylers.len() > 1 {
+        if self.stylers.len() > 1 || self.stylers.forms() > 1 {
             for slot in 0..self.stylers.len() {
                 self.warm(slot, size);
             }

@@ -62,6 +62,8 @@ pub struct Plan {
     pub part: Step,
     /// Mix the style with the one it follows.
     pub fade: Step,
+    /// Draw the style in a simpler way.
+    pub simplify: Step,
     /// What it was made from.
     pub wants: Wants,
 }
@@ -75,6 +77,8 @@ pub struct Wants {
     pub filters: bool,
     /// Whether one style is fading into another.
     pub fades: bool,
+    /// How far the style is simplified to keep to the budget.
+    pub quality: usize,
     /// What the style is the part of, where it is not the whole picture.
     pub part: Option<Of>,
     /// Whether the style's pattern moves with the scene.
@@ -119,7 +123,7 @@ pub enum View {
 impl Plan {
     /// The plan for a frame of `scene` that is drawn as `wants` says, with `view` in sight.
     pub fn new(scene: &Scene, wants: Wants, view: View) -> Self {
-        let Wants { needs, filters, fades, part: of, anchored, retouch } = wants;
+        let Wants { needs, filters, fades, quality, part: of, anchored, retouch } = wants;
         let apart = scene.models.iter().any(|model| model.secondary);
         let needs = if apart { needs } else { needs.without(Needs::SECONDARY) };
         // beside a styled part stands conventional augmented reality
@@ -202,6 +206,11 @@ impl Plan {
             } else {
                 Step::skip("the style stays")
             },
+            simplify: match quality {
+                0 => Step::skip("frames keep to their budget, or have none"),
+                1 => Step::run("frames cost more than their budget: one level simpler"),
+                _ => Step::run("frames cost more than their budget: two levels simpler"),
+            },
             wants,
         }
     }
@@ -225,6 +234,7 @@ impl fmt::Display for Plan {
             ("anchor pattern", self.anchor),
             ("style a part", self.part),
             ("fade styles", self.fade),
+            ("simplify", self.simplify),
         ];
         for (name, step) in steps {
             let does = if step.runs { "runs" } else { "skipped" };

@@ -21,12 +21,15 @@ pub(super) struct Stylers {
     leaving: Option<Leaving>,
     fade: Duration,
     last: Option<Duration>,
+    /// Whether simpler forms of every style are built too, and how far the styles are simplified.
+    governed: bool,
+    quality: usize,
 }
 
-/// One style and the settings it was built from.
+/// One style, the settings it was built from, and its simpler forms.
 struct Slot {
     config: Config,
-    styler: Styler,
+    stylers: Vec<Styler>,
 }
 
 /// The style that a fade comes from.
@@ -49,8 +52,9 @@ pub(super) struct Turn {
 
 impl Stylers {
     /// The style that `config` names and those of its cycle; the cycle begins at the named one where it holds it.
-    pub fn new(config: &Config, level: Level) -> Self {
-        let slot = |name: StyleName| Slot::new(&Config { name, ..config.clone() }, level);
+    /// `governed`: with the simpler forms of each.
+    pub fn new(config: &Config, level: Level, governed: bool) -> Self {
+        let slot = |name: StyleName| Slot::new(&Config { name, ..config.clone() }, level, governed);
         let mut slots: Vec<Slot> = config.cycle.iter().map(|&name| slot(name)).collect();
         let front = config.cycle.iter().position(|&name| name == config.name).unwrap_or(slots.len());
         if front == slots.len() {
@@ -58,12 +62,30 @@ impl Stylers {
         }
         let fade = Duration::from_millis(config.fade_ms.into());
         let cycle = config.cycle.len();
-        Self { level, slots, cycle, front, wanted: front, leaving: None, fade, last: None }
+        Self {
+            level,
+            slots,
+            cycle,
+            front,
+            wanted: front,
+            leaving: None,
+            fade,
+            last: None,
+            governed,
+            quality: 0,
+        }
     }
 
     /// The style in front, or the one that will be.
     pub fn name(&self) -> StyleName {
         self.slots[self.wanted].config.name
+    }
+
+    /// Puts this style in front, without a fade; nothing happens where it is not built.
+    pub fn begin_with(&mut self, name: StyleName) {
+        if let Some(slot) = self.slots.iter().position(|slot| slot.config.name == name) {
+            (self.front, self.wanted, self.leaving) = (slot, slot, None);
+        }
     }
 
     /// Asks for the style `steps` further in the cycle, round and round; without a cycle nothing happens.
@@ -81,7 +103,7 @@ impl Stylers {
             self.wanted = known;
             return None;
         }
-        let slot = Slot::new(config, self.level);
+        let slot = Slot::new(config, self.level, self.governed);
         let in_use = |index: usize| {
             index < self.cycle
                 || index == self.front
@@ -104,14 +126,16 @@ impl Stylers {
     /// What the frame taken at `at` draws. Allocates nothing.
     pub fn turn(&mut self, at: Duration) -> Turn {
         let before = self.last.replace(at).filter(|&before| before <= at).unwrap_or(at);
-        let done = |leaving: Leaving| share(at.saturating_sub(leaving.begun), self.fade) == 256;
+        let fade = self.fade;
+        let done = |leaving: Leaving| share(at.saturating_sub(leaving.begun), fade) == 256;
         if self.leaving.is_some_and(done) {
             self.leaving = None;
         }
         if self.leaving.is_none() && self.wanted != self.front {
             let leaving = Leaving { slot: self.front, begun: before };
             self.front = self.wanted;
-            self.slots[self.front].styler.restart();
+            let front = self.front;
+            self.get(front).restart();
             self.leaving = Some(leaving).filter(|&leaving| !done(leaving));
         }
         match &mut self.leaving {
@@ -127,7 +151,37 @@ impl Stylers {
 
     /// The style in this slot.
     pub fn get(&mut self, slot: usize) -> &mut Styler {
-        &mut self.slots[slot].styler
+        let quality = self.quality;
+        let Slot { stylers, .. } = &mut self.slots[slot];
+        let last = stylers.len() - 1;
+        &mut stylers[quality.min(last)]
+    }
+
+    /// How many forms the style in front has: 1 unless governed.
+    pub fn forms(&self) -> usize {
+        self.slots[self.front].stylers.len()
+    }
+
+    /// Takes the forms that are so much simpler from the next frame on, each as far as it goes. Allocates nothing.
+    pub fn set_quality(&mut self, quality: usize) {
+        self.quality = quality;
+        let front = self.front;
+        self.get(front).restart();
+    }
+
+    /// How far the style in front is simplified.
+    pub fn quality(&self) -> usize {
+        self.quality.min(self.forms() - 1)
+    }
+
+    fn form(&self, slot: usize) -> &Styler {
+        let stylers = &self.slots[slot].stylers;
+        &stylers[self.quality.min(stylers.len() - 1)]
+    }
+
+    /// Every form of the style in this slot.
+    pub fn all(&mut self, slot: usize) -> &mut [Styler] {
+        &mut self.slots[slot].stylers
     }
 
     /// How many slots there are.
@@ -137,7 +191,7 @@ impl Stylers {
 
     /// What the style in this slot wants of the renderer.
     pub fn look(&self, slot: usize) -> Look {
-        self.slots[slot].styler.look()
+        self.form(slot).look()
     }
 
     /// What the styles of the next frame want of the renderer together.
@@ -151,14 +205,16 @@ impl Stylers {
 
     /// Whether one of the styles of the next frame changes the picture itself.
     pub fn filters(&self) -> bool {
-        let filters = |slot: usize| self.slots[slot].styler.filters();
+        let filters = |slot: usize| self.form(slot).filters();
         filters(self.front) || filters(self.wanted) || self.leaving.is_some_and(|l| filters(l.slot))
     }
 }
 
 impl Slot {
-    fn new(config: &Config, level: Level) -> Self {
-        Self { config: config.clone(), styler: Styler::new(config, level) }
+    fn new(config: &Config, level: Level, governed: bool) -> Self {
+        let simpler = if governed { config.simpler() } else { Vec::new() };
+        let forms = std::iter::once(config).chain(&simpler);
+        Self { config: config.clone(), stylers: forms.map(|form| Styler::new(form, level)).collect() }
     }
 }
 
@@ -182,7 +238,7 @@ mod tests {
 
     #[test]
     fn a_fade_takes_its_time_and_a_switch_within_waits() {
-        let mut stylers = Stylers::new(&config(StyleName::Plain, &[]), simd::best());
+        let mut stylers = Stylers::new(&config(StyleName::Plain, &[]), simd::best(), false);
         assert_eq!(stylers.turn(frame(0)), Turn { front: 0, share: 256, leaving: None });
         assert_eq!(stylers.switch(&config(StyleName::Cartoon, &[])), Some(1));
         assert!(stylers.is_fading());
@@ -201,7 +257,7 @@ mod tests {
     #[test]
     fn visitors_step_round_the_cycle() {
         let cycle = [StyleName::Cartoon, StyleName::Watercolor, StyleName::Illustrative];
-        let mut stylers = Stylers::new(&config(StyleName::Watercolor, &cycle), simd::best());
+        let mut stylers = Stylers::new(&config(StyleName::Watercolor, &cycle), simd::best(), false);
         let mut seen = Vec::new();
         for _ in 0..4 {
             seen.push(stylers.name());
@@ -211,12 +267,12 @@ mod tests {
         stylers.step(-3);
         assert_eq!(stylers.name(), cycle[2]);
         for (steps, lands) in [(1, cycle[0]), (-1, cycle[2])] {
-            let mut outside = Stylers::new(&config(StyleName::Plain, &cycle), simd::best());
+            let mut outside = Stylers::new(&config(StyleName::Plain, &cycle), simd::best(), false);
             assert_eq!(outside.name(), StyleName::Plain);
             outside.step(steps);
             assert_eq!(outside.name(), lands, "from outside the cycle to its near end");
         }
-        let mut alone = Stylers::new(&config(StyleName::Plain, &[]), simd::best());
+        let mut alone = Stylers::new(&config(StyleName::Plain, &[]), simd::best(), false);
         alone.step(1);
         assert_eq!((alone.name(), alone.is_fading()), (StyleName::Plain, false));
     }

@@ -46,6 +46,11 @@ impl Timings {
         result
     }
 
+    /// Books time that was measured elsewhere on `stage`.
+    pub fn add(&mut self, stage: Stage, time: Duration) {
+        self.0[stage as usize] += time;
+    }
+
     /// Time spent in `stage`.
     pub fn of(&self, stage: Stage) -> Duration {
         self.0[stage as usize]

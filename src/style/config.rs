@@ -42,6 +42,11 @@ impl StyleName {
         }
     }
 
+    /// Whether nothing of it can be simplified: see [`Config::simpler`].
+    pub fn is_simple(self) -> bool {
+        matches!(self, StyleName::Plain | StyleName::SketchLike | StyleName::Illustrative)
+    }
+
     /// Whether it has a pattern that can be anchored.
     pub fn has_pattern(self) -> bool {
         use StyleName::{Illustrative, Pointillism, Sketchy, Watercolor};
@@ -180,6 +185,64 @@ impl Config {
         self.sketchy.validate()
     }
 
+    /// Simpler ways to draw the named style, each cheaper than the one before: what a governor steps along. Measured with
+    /// `bench --styles`; a setting that is simpler already stays. Empty where nothing is to be gained.
+    pub fn simpler(&self) -> Vec<Config> {
+        let level = |change: fn(&mut Config)| {
+            let mut config = self.clone();
+            change(&mut config);
+            config
+        };
+        let mut levels = match self.name {
+            StyleName::Plain | StyleName::SketchLike | StyleName::Illustrative => Vec::new(),
+            StyleName::Cartoon => vec![
+                level(|c| c.cartoon.steps = c.cartoon.steps.min(3)),
+                level(|c| {
+                    c.cartoon.steps = c.cartoon.steps.min(3);
+                    if c.cartoon.shrunk_height == 0 || c.cartoon.shrunk_height > 120 {
+                        (c.cartoon.shrunk_width, c.cartoon.shrunk_height) = (0, 120);
+                    }
+                }),
+            ],
+            StyleName::BilateralCartoon => vec![
+                level(|c| c.bilateral_cartoon.iterations = c.bilateral_cartoon.iterations.min(1)),
+                level(|c| {
+                    c.bilateral_cartoon.iterations = c.bilateral_cartoon.iterations.min(1);
+                    c.bilateral_cartoon.levels = c.bilateral_cartoon.levels.max(3);
+                }),
+            ],
+            StyleName::Watercolor => vec![
+                level(|c| c.watercolor.retile_every = c.watercolor.retile_every.max(3)),
+                level(|c| {
+                    c.watercolor.retile_every = c.watercolor.retile_every.max(10);
+                    c.watercolor.cell = c.watercolor.cell.max(12);
+                }),
+            ],
+            StyleName::Pointillism => vec![
+                level(|c| {
+                    c.pointillism.col_skip = c.pointillism.col_skip.max(6);
+                    c.pointillism.row_skip = c.pointillism.row_skip.max(6);
+                }),
+                level(|c| {
+                    c.pointillism.col_skip = c.pointillism.col_skip.max(8);
+                    c.pointillism.row_skip = c.pointillism.row_skip.max(8);
+                    c.pointillism.num_particles = c.pointillism.num_particles.min(10_000);
+                }),
+            ],
+            StyleName::Sketchy => vec![
+                level(|c| c.sketchy.density = c.sketchy.density.min(0.06)),
+                level(|c| {
+                    c.sketchy.density = c.sketchy.density.min(0.04);
+                    c.sketchy.points = c.sketchy.points.min(6);
+                }),
+            ],
+        };
+        // what changes nothing is no level
+        levels.retain(|level| level != self);
+        levels.dedup();
+        levels
+    }
+
     /// The settings of a style with their defaults, as `key=value` in order of the name.
     pub fn defaults_of(style: StyleName) -> Vec<String> {
         let table = toml::Table::try_from(Config::default()).unwrap_or_default();
@@ -307,6 +370,19 @@ mod tests {
                 config.set(key, value.trim_matches('"')).expect(setting);
             }
             assert_eq!(config, Config { name, ..Config::default() });
+        }
+    }
+
+    #[test]
+    fn simpler_levels_are_valid_and_end_somewhere() {
+        use clap::ValueEnum;
+        for &name in StyleName::value_variants() {
+            let config = Config { name, ..Config::default() };
+            let levels = config.simpler();
+            assert_eq!(levels.len(), if name.is_simple() { 0 } else { 2 }, "{name}");
+            assert!(levels.iter().all(|level| level.validate().is_ok() && level.name == name));
+            let last = levels.last().unwrap_or(&config);
+            assert!(last.simpler().is_empty(), "{name}");
         }
     }
 
