@@ -17,6 +17,7 @@ mod render;
 mod report;
 mod run;
 mod service;
+mod sheet;
 mod stylize;
 
 use crate::camera::CameraError;
@@ -45,6 +46,7 @@ enum Command {
     Draw(draw::Args),
     Plan(plan::Args),
     Bench(bench::Args),
+    Sheet(sheet::Args),
 }
 
 /// Marks an error as a failure of the work (exit 1), not of what was asked for (exit 2). Attach it with
@@ -66,6 +68,7 @@ pub fn main() -> ExitCode {
         Command::Draw(args) => draw::run(args),
         Command::Plan(args) => plan::run(args),
         Command::Bench(args) => bench::run(args),
+        Command::Sheet(args) => sheet::run(args),
     };
     match done {
         Ok(()) => ExitCode::SUCCESS,
