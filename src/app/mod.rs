@@ -4,6 +4,7 @@
 //! thing and what to do.
 
 pub mod bench;
+mod calibrate;
 pub mod config;
 mod demo;
 mod detect;
@@ -47,6 +48,7 @@ enum Command {
     Plan(plan::Args),
     Bench(bench::Args),
     Sheet(sheet::Args),
+    Calibrate(calibrate::Args),
 }
 
 /// Marks an error as a failure of the work (exit 1), not of what was asked for (exit 2). Attach it with
@@ -69,6 +71,7 @@ pub fn main() -> ExitCode {
         Command::Plan(args) => plan::run(args),
         Command::Bench(args) => bench::run(args),
         Command::Sheet(args) => sheet::run(args),
+        Command::Calibrate(args) => calibrate::run(args),
     };
     match done {
         Ok(()) => ExitCode::SUCCESS,
