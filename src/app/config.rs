@@ -146,12 +146,13 @@ impl Loaded {
     }
 }
 
-fn line_of(text: &str, at: usize) -> usize {
+/// The line (from 1) that holds the byte at `at`.
+pub(super) fn line_of(text: &str, at: usize) -> usize {
     text.as_bytes()[..at.min(text.len())].iter().filter(|&&b| b == b'\n').count() + 1
 }
 
 /// The first line whose key or table header is `key`; 1 when there is none.
-fn find_key(text: &str, key: &str) -> usize {
+pub(super) fn find_key(text: &str, key: &str) -> usize {
     let names = |line: &str| {
         let line = line.trim_start_matches(['[', ' ', '\t']);
         line.strip_prefix(key).is_some_and(|rest| rest.trim_start().starts_with([']', '=', '.']))
@@ -160,7 +161,7 @@ fn find_key(text: &str, key: &str) -> usize {
 }
 
 /// The line of the nth (from 1) table header.
-fn nth_table(text: &str, header: &str, n: usize) -> usize {
+pub(super) fn nth_table(text: &str, header: &str, n: usize) -> usize {
     let mut headers = text.lines().enumerate().filter(|(_, line)| line.trim().starts_with(header));
     headers.nth(n.saturating_sub(1)).map_or(1, |(index, _)| index + 1)
 }

@@ -5,14 +5,19 @@
 
 pub mod bench;
 mod calibrate;
+mod check;
 pub mod config;
 mod demo;
 mod detect;
+mod doctor;
 mod draw;
 mod fault;
 mod logging;
+mod machine;
+mod manual;
 mod plan;
 mod presses;
+mod probe;
 mod progress;
 mod render;
 mod report;
@@ -20,6 +25,7 @@ mod run;
 mod service;
 mod sheet;
 mod stylize;
+mod wishes;
 
 use crate::camera::CameraError;
 use crate::display::DisplayError;
@@ -49,6 +55,11 @@ enum Command {
     Bench(bench::Args),
     Sheet(sheet::Args),
     Calibrate(calibrate::Args),
+    Check(check::Args),
+    Probe(probe::Args),
+    Doctor(doctor::Args),
+    Completions(manual::Completions),
+    Manual(manual::Manual),
 }
 
 /// Marks an error as a failure of the work (exit 1), not of what was asked for (exit 2). Attach it with
@@ -72,6 +83,11 @@ pub fn main() -> ExitCode {
         Command::Bench(args) => bench::run(args),
         Command::Sheet(args) => sheet::run(args),
         Command::Calibrate(args) => calibrate::run(args),
+        Command::Check(args) => check::run(args),
+        Command::Probe(args) => probe::run(args),
+        Command::Doctor(args) => doctor::run(args),
+        Command::Completions(args) => manual::completions(args),
+        Command::Manual(_) => manual::manual(),
     };
     match done {
         Ok(()) => ExitCode::SUCCESS,

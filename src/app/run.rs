@@ -6,6 +6,7 @@ use super::fault::{Fault, Present};
 use super::presses::Presses;
 use super::report::ms;
 use super::service::Service;
+use super::wishes::Wishes;
 use super::{Failed, pool, say};
 use crate::camera::{self, CameraError, Grab, RawFormat, RawRef, Source, trace};
 use crate::display::{self, Sink, Slate};
@@ -22,11 +23,11 @@ use std::time::{Duration, Instant};
 /// The appliance: camera to screen, until it is stopped.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  vernissage run --config visor.toml\n  \
+    vernissage run --model teapot --style cartoon        on every marker of `vernissage sheet`\n  \
     vernissage run --config visor.toml --frames 60 --trace trace.bin   then   vernissage render --trace trace.bin")]
 pub struct Args {
-    /// Visor file
-    #[arg(long, value_name = "FILE")]
-    config: PathBuf,
+    #[command(flatten)]
+    wishes: Wishes,
     /// Stop after this many shown frames
     #[arg(long, value_name = "N")]
     frames: Option<u64>,
@@ -55,7 +56,7 @@ const SLATE_EVERY: Duration = Duration::from_millis(250);
 const REPORT_EVERY: Duration = Duration::from_secs(10);
 
 pub fn run(args: Args) -> anyhow::Result<()> {
-    let Loaded { config, scene } = Loaded::read(&args.config)?;
+    let Loaded { config, scene } = args.wishes.load()?;
     let source = Source::open(&config.camera)?;
     let size = source.size();
     let (lens, warning) = match source.lens() {
@@ -411,7 +412,7 @@ mod tests {
         let track = track::Config::default();
         let pipeline =
             Pipeline::new(Scene::default(), Lens::guess(size), track, &style, simd::Level::fallback());
-        let args = Args { config: PathBuf::new(), frames: Some(4), trace: None, json: true };
+        let args = Args { wishes: Wishes::default(), frames: Some(4), trace: None, json: true };
         let (mut writer, reader) = latest(Captured::default(), std::thread::current());
         let (fault, stop) = (Present::default(), AtomicBool::new(false));
         fault.set(Some(Fault::CameraGone));

@@ -152,7 +152,8 @@ impl LensConfig {
     pub fn lens(&self, size: Size) -> Option<Lens> {
         let scale =
             DVec2::new(size.width as f64 / self.width as f64, size.height as f64 / self.height as f64);
-        if !((scale.x / scale.y - 1.0).abs() <= 0.01) {
+        let stretch = (scale.x / scale.y - 1.0).abs();
+        if stretch.is_nan() || stretch > 0.01 {
             return None;
         }
         let mut distortion = [0.0; 8];

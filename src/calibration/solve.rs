@@ -228,6 +228,7 @@ impl Fit<'_> {
         self.seen.iter().flat_map(|seen| self.misses(seen)).map(rho).sum()
     }
 
+    #[expect(clippy::needless_range_loop, reason = "the textbook's indices")]
     fn equations(&self) -> Option<Equations> {
         let mut sum = Equations { a: [[0.0; NUMBERS]; NUMBERS], b: [0.0; NUMBERS], own: Vec::new() };
         for seen in &self.seen {
@@ -320,7 +321,7 @@ impl Fit<'_> {
             views.push(Fitted { index: seen.index, pose: seen.pose, rms_px, tilt_deg: tilt, misses });
         }
         let rms_px = (squares / weights).sqrt();
-        if !(rms_px <= WORST_RMS_PX * scale) {
+        if rms_px.is_nan() || rms_px > WORST_RMS_PX * scale {
             return Err(Undetermined::Misfit(rms_px));
         }
         let tilt = views.iter().map(|view| view.tilt_deg).fold(0.0, f64::max);
@@ -358,6 +359,7 @@ impl Fit<'_> {
 }
 
 /// Takes a view's pose out of the lens's equations: A - Wᵀ V⁻¹ W and b - Wᵀ V⁻¹ r.
+#[expect(clippy::needless_range_loop, reason = "the textbook's indices")]
 fn eliminate(
     v: &[[f64; 6]; 6],
     right: &[f64; 6],
