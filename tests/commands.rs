@@ -64,12 +64,12 @@ fn three_commands_of_the_readme_lead_to_a_model_on_a_marker() {
     assert!(std::fs::read(here.join(file)).expect("the sheet").starts_with(b"%PDF"));
     let doctor = run_in(&here, &commands[1]);
     assert!(matches!(doctor.status.code(), Some(0 | 1)), "{}", told(&doctor).1);
-    let without = ["--camera", "synthetic", "--display", "null", "--frames", "30", "--json"];
+    let without = ["--camera", "synthetic", "--display", "null", "--frames", "6", "--json"];
     let run = run_in(&here, &[&commands[2][..], &without].concat());
     let (out, error) = told(&run);
     assert!(run.status.success(), "{error}");
     let figures: serde_json::Value = serde_json::from_str(&out).expect("JSON");
-    assert_eq!(figures["shown"], 30);
+    assert_eq!(figures["shown"], 6);
     // which marker the sheet shows, and its size, need not be said
     let plan = told(&run_in(&here, &[&["plan"], &commands[2][1..]].concat())).0;
     assert!(plan.contains("style   cartoon") && plan.contains("on tag36h11 any"), "{plan}");
@@ -213,6 +213,9 @@ fn check_never_panics_on_damaged_files() {
     for round in 0..40 {
         let mut bytes = whole.as_bytes().to_vec();
         for _ in 0..rng.int(1, 8) {
+            if bytes.is_empty() {
+                break;
+            }
             let at = rng.int(0, bytes.len() as i64 - 1) as usize;
             match rng.int(0, 2) {
                 0 => bytes[at] = b"[]{}=\"'#\n,.x\xff"[rng.int(0, 12) as usize],

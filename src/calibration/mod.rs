@@ -1,9 +1,10 @@
 //! How a camera sees: its lens solved from pictures of a flat sheet of markers, and the files that keep it.
 //!
 //! Comes in: for each picture, where points of the sheet are seen ([`View`]); goes out: the [`Calibration`], or what
-//! is missing to decide it. `start` gives the first guess, `solve` the best fit, `file` and `yaml` read and write.
+//! is missing to decide it. `start` gives the first guess, `solve` with its `equations` the best fit, `file` and `yaml` read and write.
 //! Nothing here knows markers or pictures.
 
+mod equations;
 mod file;
 mod solve;
 mod start;

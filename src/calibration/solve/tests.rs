@@ -3,6 +3,7 @@
 use super::super::Point;
 use super::*;
 use crate::pixels::SplitMix64;
+use glam::DVec3;
 
 const SIZE: Size = Size { width: 640, height: 480 };
 
