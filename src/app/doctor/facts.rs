@@ -33,8 +33,6 @@ pub struct Facts {
     pub clock: u64,
     /// Temperatures.
     pub heat: Vec<Thermal>,
-    /// MHz now, and the most.
-    pub mhz: Option<(u64, u64)>,
     /// What a Raspberry Pi's firmware says of its supply and heat, bit by bit.
     pub throttled: Option<u32>,
 }
@@ -126,7 +124,6 @@ pub fn collect(config: Option<&Path>) -> Facts {
         state: folder(&state),
         clock: SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |time| time.as_secs()),
         heat: machine::thermal(),
-        mhz: machine::clock_mhz(),
         throttled: machine::line(Path::new("/sys/devices/platform/soc/soc:firmware/get_throttled"))
             .and_then(|hex| u32::from_str_radix(hex.trim_start_matches("0x"), 16).ok()),
     }
