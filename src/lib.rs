@@ -7,7 +7,7 @@
 //! |---|---|
 //! | 0 | [`pixels`]: planes, views, tiles, noise, the one SIMD level |
 //! | 1 | [`kernel`]: one image kernel a file, fast body and f64 reference; [`geometry`]: pose, lens, homography |
-//! | 2 | [`marker`]: marker families as data |
+//! | 2 | [`marker`]: marker families as data; [`calibration`]: the lens from pictures of a sheet, and its files |
 //! | 3 | [`frame`]: what flows; [`scene`]: what is wanted |
 //! | 4 | [`render`]: the tile rasteriser; [`retouch`]: the camera picture before it is styled, and which part is |
 //! | 5 | [`camera`], [`track`], [`style`], [`display`], [`buttons`] |
@@ -18,6 +18,7 @@
 
 pub mod app;
 pub mod buttons;
+pub mod calibration;
 pub mod camera;
 pub mod display;
 pub mod frame;

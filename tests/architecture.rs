@@ -8,6 +8,7 @@ const FLOORS: &[(&str, u32)] = &[
     ("kernel", 1),
     ("geometry", 1),
     ("marker", 2),
+    ("calibration", 2),
     ("frame", 3),
     ("scene", 3),
     ("render", 4),

@@ -162,7 +162,10 @@ fn bad_usage() {
     }
     let help = vernissage(&["--help"]);
     assert_eq!(help.status.code(), Some(0));
-    for command in ["demo", "run", "render", "stylize", "detect", "draw", "plan", "bench"] {
+    let technician = ["sheet", "calibrate", "check", "probe", "doctor", "completions", "manual"];
+    for command in
+        ["demo", "run", "render", "stylize", "detect", "draw", "plan", "bench"].iter().chain(&technician)
+    {
         assert!(String::from_utf8_lossy(&help.stdout).contains(command), "--help names {command}");
     }
 }

@@ -1,12 +1,12 @@
 //! The settings file: composes what each room documents for itself, and turns a mistake in it into one line
 //! that names file, line and the nearest word that would have been right.
 
+use crate::calibration::{FileError, LensConfig};
 use crate::geometry::Lens;
 use crate::pipeline::governor;
 use crate::pixels::Size;
 use crate::scene::{BoardConfig, LightConfig, ModelConfig, Scene};
 use crate::{buttons, camera, display, retouch, style, track};
-use glam::DVec2;
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
 
@@ -67,28 +67,6 @@ struct SceneFile {
     track: Option<track::Config>,
 }
 
-/// The `[lens]` table: a calibration, pixel centers at integers, for pictures of `width` x `height`; pictures
-/// of another size with the same shape use it scaled.
-#[derive(Clone, Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct LensConfig {
-    /// Width of the calibrated pictures, px.
-    pub width: usize,
-    /// Height of the calibrated pictures, px.
-    pub height: usize,
-    /// Focal length along x, px, > 0.
-    pub fx: f64,
-    /// Focal length along y, px, > 0.
-    pub fy: f64,
-    /// Principal point, px.
-    pub cx: f64,
-    /// Principal point, px.
-    pub cy: f64,
-    /// k1 k2 p1 p2 [k3 [k4 k5 k6]] as OpenCV; missing ones are 0.
-    #[serde(default)]
-    pub dist: Vec<f64>,
-}
-
 /// Why a settings file cannot be used; its text is one line.
 #[derive(Debug, thiserror::Error)]
 pub enum ConfigError {
@@ -110,6 +88,9 @@ pub enum ConfigError {
         /// What is wrong and what to do.
         reason: String,
     },
+    /// The calibration that it names cannot be used.
+    #[error(transparent)]
+    Lens(#[from] FileError),
 }
 
 /// A settings file, read, with the models loaded.
@@ -173,42 +154,15 @@ impl Config {
             let focal = guess.focal.x;
             return (guess, Some(format!("no [lens] calibration: taking fx = fy = {focal} px, centered")));
         };
-        let scale =
-            DVec2::new(size.width as f64 / lens.width as f64, size.height as f64 / lens.height as f64);
-        if (scale.x / scale.y - 1.0).abs() > 0.01 {
-            let calibrated = Size::new(lens.width, lens.height);
-            let text = format!(
-                "[lens] is for {calibrated}, pictures are {size}: taking fx = fy = {}",
-                guess.focal.x
-            );
-            return (guess, Some(text));
+        match lens.lens(size) {
+            Some(lens) => (lens, None),
+            None => {
+                let focal = guess.focal.x;
+                let text =
+                    format!("[lens] is for {}, pictures are {size}: taking fx = fy = {focal}", lens.size());
+                (guess, Some(text))
+            }
         }
-        let mut distortion = [0.0; 8];
-        for (to, from) in distortion.iter_mut().zip(&lens.dist) {
-            *to = *from;
-        }
-        // pixel centers at integers: scaling keeps the picture's edge at -.5
-        let center = (DVec2::new(lens.cx, lens.cy) + 0.5) * scale - 0.5;
-        (Lens { size, focal: DVec2::new(lens.fx, lens.fy) * scale, center, distortion }, None)
-    }
-}
-
-impl LensConfig {
-    fn check(&self) -> Result<(), String> {
-        let numbers = [self.fx, self.fy, self.cx, self.cy];
-        if self.width == 0 || self.height == 0 {
-            return Err("lens.width and lens.height must be above 0".into());
-        }
-        if !numbers.iter().chain(&self.dist).all(|v| v.is_finite()) || self.fx <= 0.0 || self.fy <= 0.0 {
-            return Err("lens: fx and fy must be above 0, all numbers finite".into());
-        }
-        if ![0, 4, 5, 8].contains(&self.dist.len()) {
-            return Err(format!(
-                "lens.dist has {} numbers: give 4, 5 or 8 (k1 k2 p1 p2 k3 k4 k5 k6)",
-                self.dist.len()
-            ));
-        }
-        Ok(())
     }
 }
 
@@ -222,6 +176,9 @@ impl Loaded {
         config.camera.resolve(folder);
         if let Some(snapshot) = &mut config.snapshot {
             snapshot.dir = folder.join(&snapshot.dir);
+        }
+        if let Some(file) = config.lens.as_ref().and_then(|lens| lens.file.as_ref()) {
+            config.lens = Some(LensConfig::read(&folder.join(file))?);
         }
         for file in &mut config.scenes {
             *file = folder.join(&file);
@@ -286,12 +243,13 @@ fn read_toml<T: serde::de::DeserializeOwned>(text: &str, path: &Path) -> Result<
     })
 }
 
-fn line_of(text: &str, at: usize) -> usize {
+/// The line (from 1) that holds the byte at `at`.
+pub(super) fn line_of(text: &str, at: usize) -> usize {
     text.as_bytes()[..at.min(text.len())].iter().filter(|&&b| b == b'\n').count() + 1
 }
 
 /// The first line whose key or table header is `key`; 1 when there is none.
-fn find_key(text: &str, key: &str) -> usize {
+pub(super) fn find_key(text: &str, key: &str) -> usize {
     let names = |line: &str| {
         let line = line.trim_start_matches(['[', ' ', '\t']);
         line.strip_prefix(key).is_some_and(|rest| rest.trim_start().starts_with([']', '=', '.']))
@@ -300,7 +258,7 @@ fn find_key(text: &str, key: &str) -> usize {
 }
 
 /// The line of the nth (from 1) table header.
-fn nth_table(text: &str, header: &str, n: usize) -> usize {
+pub(super) fn nth_table(text: &str, header: &str, n: usize) -> usize {
     let mut headers = text.lines().enumerate().filter(|(_, line)| line.trim().starts_with(header));
     headers.nth(n.saturating_sub(1)).map_or(1, |(index, _)| index + 1)
 }

@@ -4,20 +4,28 @@
 //! thing and what to do.
 
 pub mod bench;
+mod calibrate;
+mod check;
 pub mod config;
 mod demo;
 mod detect;
+mod doctor;
 mod draw;
 mod fault;
 mod logging;
+mod machine;
+mod manual;
 mod plan;
 mod presses;
+mod probe;
 mod progress;
 mod render;
 mod report;
 mod run;
 mod service;
+mod sheet;
 mod stylize;
+mod wishes;
 
 use crate::camera::CameraError;
 use crate::display::DisplayError;
@@ -45,6 +53,13 @@ enum Command {
     Draw(draw::Args),
     Plan(plan::Args),
     Bench(bench::Args),
+    Sheet(sheet::Args),
+    Calibrate(calibrate::Args),
+    Check(check::Args),
+    Probe(probe::Args),
+    Doctor(doctor::Args),
+    Completions(manual::Completions),
+    Manual(manual::Manual),
 }
 
 /// Marks an error as a failure of the work (exit 1), not of what was asked for (exit 2). Attach it with
@@ -66,6 +81,13 @@ pub fn main() -> ExitCode {
         Command::Draw(args) => draw::run(args),
         Command::Plan(args) => plan::run(args),
         Command::Bench(args) => bench::run(args),
+        Command::Sheet(args) => sheet::run(args),
+        Command::Calibrate(args) => calibrate::run(args),
+        Command::Check(args) => check::run(args),
+        Command::Probe(args) => probe::run(args),
+        Command::Doctor(args) => doctor::run(args),
+        Command::Completions(args) => manual::completions(args),
+        Command::Manual(_) => manual::manual(),
     };
     match done {
         Ok(()) => ExitCode::SUCCESS,

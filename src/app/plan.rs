@@ -2,21 +2,22 @@
 
 use super::config::Loaded;
 use super::say;
+use super::wishes::Wishes;
 use crate::pipeline::{Pipeline, View};
 use crate::pixels::{Size, simd};
-use std::path::PathBuf;
 
 /// Says what every frame of a scene computes, what it skips, and why.
 #[derive(clap::Args)]
-#[command(after_help = "Example:\n  vernissage plan --config scene.toml")]
+#[command(
+    after_help = "Examples:\n  vernissage plan --config scene.toml\n  vernissage plan --model teapot --style watercolor"
+)]
 pub struct Args {
-    /// Scene or visor file
-    #[arg(long, value_name = "FILE")]
-    config: PathBuf,
+    #[command(flatten)]
+    wishes: Wishes,
 }
 
 pub fn run(args: Args) -> anyhow::Result<()> {
-    let Loaded { config, scene } = Loaded::read(&args.config)?;
+    let Loaded { config, scene } = args.wishes.load()?;
     let size = Size::new(config.camera.width, config.camera.height);
     let (lens, warning) = config.lens(size);
     say(format_args!("style   {}", config.style.name))?;

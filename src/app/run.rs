@@ -17,10 +17,10 @@ mod watch;
 
 pub(super) use status::mode;
 
-use super::config::Loaded;
 use super::fault::Fault;
 use super::presses::Presses;
 use super::service::Service;
+use super::wishes::Wishes;
 use super::{Failed, pool, say};
 use crate::camera::{self, CameraError, Source, trace};
 use crate::display::Slate;
@@ -44,13 +44,13 @@ use watch::{Captured, Watch};
 /// The appliance: camera to screen, until it is stopped.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  vernissage run --config visor.toml\n  \
+    vernissage run --model teapot --style cartoon        on every marker of `vernissage sheet`\n  \
     vernissage run --config visor.toml --frames 60 --trace trace.bin   then   vernissage render --trace trace.bin\n\n\
     The settings file is read again when it changes, and on SIGHUP. What is wrong with it is told with its line, and \
     what runs stays.")]
 pub struct Args {
-    /// Visor file
-    #[arg(long, value_name = "FILE")]
-    config: PathBuf,
+    #[command(flatten)]
+    wishes: Wishes,
     /// Stop after this many shown frames
     #[arg(long, value_name = "N")]
     frames: Option<u64>,
@@ -84,12 +84,12 @@ impl Args {
 const CLOSE: Duration = Duration::from_secs(2);
 
 pub fn run(args: Args) -> anyhow::Result<()> {
-    let scenes = Loaded::read(&args.config)?.scenes(&args.config)?;
+    let scenes = args.wishes.scenes()?;
     let (_, first) = scenes.first().context("no scene")?;
     let config = Arc::new(first.config.clone());
     let tally = Arc::<Tally>::default();
     let names: Vec<String> = scenes.iter().map(|(name, _)| name.clone()).collect();
-    let words = Arc::new(Words::new(args.config.clone(), names.clone()));
+    let words = Arc::new(Words::new(args.wishes.config.clone().unwrap_or_default(), names.clone()));
 
     let source = open_camera(&config.camera, args.wait, &tally)?;
     let live = source.as_ref().is_none_or(Source::is_live);
@@ -118,7 +118,7 @@ pub fn run(args: Args) -> anyhow::Result<()> {
         signal_hook::flag::register(signal, flag.clone()).context(Failed("cannot watch for signals"))?;
     }
     let shared = Shared { tally: tally.clone(), words: words.clone(), again };
-    let settings = Settings::start(&args.config, scenes, optics.clone(), shared)
+    let settings = Settings::start(&args.wishes, scenes, optics.clone(), shared)
         .context(Failed("cannot start the thread that looks after the settings"))?;
     let reporter = Reporter::start(args.files(), tally.clone(), words.clone())
         .context(Failed("cannot start the thread that writes the status"))?;

@@ -8,7 +8,7 @@ mod codes;
 mod patterns;
 mod read;
 
-pub use board::{Board, Print};
+pub use board::{Board, Grid, Print};
 pub use patterns::{Patch, PatternError, Patterns};
 
 use crate::pixels::{Plane, Size};

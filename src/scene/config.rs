@@ -176,6 +176,37 @@ pub struct SceneError {
     pub reason: String,
 }
 
+impl ModelConfig {
+    /// A model on a marker, everything else as where a settings file leaves it out.
+    pub fn new(file: String, marker: AnchorConfig) -> Self {
+        Self {
+            file,
+            marker,
+            fit: yes(),
+            unit: None,
+            up: Up::default(),
+            scale: one(),
+            rotate_deg: [0.0; 3],
+            translate_mm: [0.0; 3],
+            color: None,
+            texture: None,
+            shading: ShadingConfig::default(),
+            toon_steps: four(),
+            toon_base: quarter(),
+            cull_back: false,
+            secondary: false,
+            phantom: false,
+        }
+    }
+}
+
+impl AnchorConfig {
+    /// A marker of a family, or each of them.
+    pub fn new(family: Option<Family>, id: Option<u32>, side_mm: Option<f64>) -> Self {
+        Self { family, id, pattern: None, least_match: None, side_mm: side_mm.unwrap_or_else(eighty) }
+    }
+}
+
 impl Scene {
     /// Loads the models; paths are relative to `folder`.
     pub fn build(models: &[ModelConfig], light: &LightConfig, folder: &Path) -> Result<Scene, SceneError> {

@@ -7,11 +7,12 @@ use super::status::Words;
 use super::tally::Tally;
 use crate::app::config::{Config, Loaded};
 use crate::app::fault::Fault;
+use crate::app::wishes::Wishes;
 use crate::geometry::Lens;
 use crate::pipeline::Pipeline;
 use crate::pixels::{Size, simd};
 use crate::style::StyleName;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
@@ -91,9 +92,9 @@ pub struct Shared {
 }
 
 impl Settings {
-    /// Begins to look after the settings file. `scenes`: what it says now.
+    /// Begins to look after the settings file, if there is one. `scenes`: what is meant now.
     pub fn start(
-        file: &Path,
+        wishes: &Wishes,
         scenes: Vec<(String, Loaded)>,
         optics: Optics,
         shared: Shared,
@@ -102,10 +103,10 @@ impl Settings {
         let (ready, fresh) = sync_channel(1);
         let (old, retired) = sync_channel(4);
         let stop = Arc::<AtomicBool>::default();
-        let stamps = stamps(file, &scenes);
+        let stamps = stamps(wishes, &scenes);
         let began = scenes.first().map(|(_, loaded)| loaded.config.clone()).unwrap_or_default();
         let keeper = Keeper {
-            file: file.into(),
+            wishes: wishes.clone(),
             began,
             scenes,
             optics,
@@ -157,19 +158,19 @@ impl Drop for Settings {
 /// When and how large a file was last.
 type Stamp = Option<(SystemTime, u64)>;
 
-fn stamps(file: &Path, scenes: &[(String, Loaded)]) -> Vec<Stamp> {
+fn stamps(wishes: &Wishes, scenes: &[(String, Loaded)]) -> Vec<Stamp> {
     let listed = scenes.first().map_or(&[][..], |(_, loaded)| &loaded.config.scenes);
     let stamp = |path: &Path| {
         let facts = std::fs::metadata(path).ok()?;
         Some((facts.modified().ok()?, facts.len()))
     };
-    std::iter::once(file).chain(listed.iter().map(PathBuf::as_path)).map(stamp).collect()
+    wishes.config.iter().chain(listed).map(|path| stamp(path)).collect()
 }
 
 /// The thread's end.
 struct Keeper {
-    file: PathBuf,
-    /// What it said at the start.
+    wishes: Wishes,
+    /// What was meant at the start.
     began: Config,
     scenes: Vec<(String, Loaded)>,
     optics: Optics,
@@ -207,7 +208,7 @@ impl Keeper {
     /// Whether the files are others than those read, and at rest.
     fn changed(&mut self) -> bool {
         let told = self.shared.again.swap(false, Ordering::Relaxed);
-        let now = stamps(&self.file, &self.scenes);
+        let now = stamps(&self.wishes, &self.scenes);
         let rests = now == self.stamps.1;
         self.stamps.1 = now;
         if told || (rests && self.stamps.1 != self.stamps.0) {
@@ -219,12 +220,11 @@ impl Keeper {
 
     fn read_again(&mut self) {
         let Shared { tally, words, .. } = &self.shared;
-        let read = Loaded::read(&self.file).and_then(|loaded| loaded.scenes(&self.file));
-        let scenes = match read {
+        let scenes = match self.wishes.scenes() {
             Ok(scenes) => scenes,
             Err(error) => {
-                log::warn!("{}: settings stay as they were: {error}", Fault::Settings.code());
-                words.set_refused(Some(error.to_string()));
+                log::warn!("{}: settings stay as they were: {error:#}", Fault::Settings.code());
+                words.set_refused(Some(format!("{error:#}")));
                 tally.faults.raise(Fault::Settings);
                 return;
             }
@@ -240,7 +240,7 @@ impl Keeper {
         // the list of scenes is told at the start, and stays; what they hold may change
         if self.scenes.iter().map(|s| &s.0).eq(scenes.iter().map(|s| &s.0)) {
             self.scenes = scenes;
-            log::info!("settings: {} taken", self.file.display());
+            log::info!("settings: taken as they are now");
             self.hand_over(Cause::File);
         }
     }
