@@ -1,7 +1,7 @@
 //! Vertices: mesh space → camera space → picture, snapped and lit, four at a time, all in f64.
 //!
 //! What the triangles' sorting reads, the snapped `Spot`, stands once more apart from what only drawn triangles read. Every
-//! operation is that of [`Vertex::project`] and [`lit`], so that a vertex has the same bits wherever it comes from.
+//! operation is that of [`Vertex::project`], so that a vertex has the same bits wherever it comes from.
 
 use super::field::Field;
 use super::tile::Channels;
