@@ -120,7 +120,8 @@ fn two_million_frames() {
                 drop(frame);
                 next += 1;
                 if next == warm {
-                    (before, memory) = (ALLOCATIONS.load(Ordering::Relaxed), resident());
+                    memory = resident();
+                    before = ALLOCATIONS.load(Ordering::Relaxed);
                 }
                 taken.store(next, Ordering::Release);
                 source.thread().unpark();

@@ -199,8 +199,9 @@ impl Config {
                 level(|c| c.cartoon.steps = c.cartoon.steps.min(3)),
                 level(|c| {
                     c.cartoon.steps = c.cartoon.steps.min(3);
-                    if c.cartoon.shrunk_height == 0 || c.cartoon.shrunk_height > 120 {
-                        (c.cartoon.shrunk_width, c.cartoon.shrunk_height) = (0, 120);
+                    // half of what 480 rows are shrunk to, and never more than 240 rows are
+                    if c.cartoon.shrunk_height == 0 || c.cartoon.shrunk_height > 90 {
+                        (c.cartoon.shrunk_width, c.cartoon.shrunk_height) = (0, 90);
                     }
                 }),
             ],

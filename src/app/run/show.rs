@@ -66,7 +66,8 @@ impl Show {
                 if ended {
                     break;
                 }
-                self.between();
+                // presses wait: what they do is told with the frame that shows it
+                self.renew();
                 self.starve()?;
                 (patience, before) = (SLATE_EVERY, None);
                 continue;
@@ -109,14 +110,19 @@ impl Show {
 
     /// Between two frames: presses, and what has become ready.
     fn between(&mut self) {
-        if let Some(fresh) = self.settings.as_ref().and_then(Settings::ready) {
-            self.take(fresh);
-        }
+        self.renew();
         self.presses.act(&mut self.pipeline, self.settings.as_ref(), &mut self.album, &self.tally);
         let style = self.pipeline.style();
         if style != self.tally.style() {
             self.governor.iter_mut().for_each(|governor| governor.forget(now()));
             self.tally.set_style(style);
+        }
+    }
+
+    /// Takes what has become ready.
+    fn renew(&mut self) {
+        if let Some(fresh) = self.settings.as_ref().and_then(Settings::ready) {
+            self.take(fresh);
         }
     }
 
