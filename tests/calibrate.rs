@@ -47,7 +47,7 @@ fn film(folder: &Path, family: Family, count: usize, tilt: f64) {
         let mut between = |low: f64, high: f64| low + (high - low) * rng.f64();
         let turn = between(0.0, std::f64::consts::TAU);
         let axis = DVec3::new(libm::cos(turn), libm::sin(turn), 0.0);
-        let lying = if number % 2 == 0 { 0.0 } else { std::f64::consts::FRAC_PI_2 };
+        let lying = if number.is_multiple_of(2) { 0.0 } else { std::f64::consts::FRAC_PI_2 };
         let rotation = DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0))
             * DMat3::from_axis_angle(axis, between(0.5, 1.0) * tilt.to_radians())
             * DMat3::from_axis_angle(DVec3::Z, lying + between(-0.3, 0.3));
@@ -77,7 +77,7 @@ fn the_lens_that_drew_the_pictures_is_found_again() {
     let here = folder("found");
     let pictures = here.join("pictures");
     std::fs::create_dir(&pictures).expect("a folder");
-    film(&pictures, Family::Tag36h11, 30, 45.0);
+    film(&pictures, Family::Tag36h11, 20, 45.0);
     let out = here.join("lens");
     let output = vernissage(&["calibrate", text(&pictures), "--out", text(&out), "--json"]);
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));

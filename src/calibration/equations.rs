@@ -9,18 +9,20 @@ pub const NUMBERS: usize = 9;
 /// Over the lens's numbers: the lower triangle counts.
 pub type Wide = [[f64; NUMBERS]; NUMBERS];
 
+/// A view's own six equations, their right side, and how the lens enters them.
+pub type Own = ([[f64; 6]; 6], [f64; 6], [[f64; NUMBERS]; 6]);
+
 /// What the views say together: the lens's equations with the poses eliminated.
 pub struct Equations {
     /// Of the lens's numbers.
     pub a: Wide,
     /// Their right side.
     pub b: [f64; NUMBERS],
-    /// Of each view: its own six equations, their right side, and how the lens enters them.
-    pub own: Vec<([[f64; 6]; 6], [f64; 6], [[f64; NUMBERS]; 6])>,
+    /// Of each view.
+    pub own: Vec<Own>,
 }
 
 /// Takes a view's pose out of the lens's equations: A - Wᵀ V⁻¹ W and b - Wᵀ V⁻¹ r.
-#[expect(clippy::needless_range_loop, reason = "the textbook's indices")]
 pub fn eliminate(
     v: &[[f64; 6]; 6],
     right: &[f64; 6],

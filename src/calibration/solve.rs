@@ -217,7 +217,6 @@ impl Fit<'_> {
         self.seen.iter().flat_map(|seen| self.misses(seen)).map(rho).sum()
     }
 
-    #[expect(clippy::needless_range_loop, reason = "the textbook's indices")]
     fn equations(&self) -> Option<Equations> {
         let mut sum = Equations { a: [[0.0; NUMBERS]; NUMBERS], b: [0.0; NUMBERS], own: Vec::new() };
         for seen in &self.seen {

@@ -45,7 +45,7 @@ pub fn read(text: &str) -> Result<LensConfig, LensError> {
     let side = |names: &[&str]| {
         let node = need(names)?;
         let value = number(node)?;
-        if value >= 1.0 && value <= 65536.0 && value.fract() == 0.0 {
+        if (1.0..=65536.0).contains(&value) && value.fract() == 0.0 {
             Ok(value as usize)
         } else {
             wrong(node.line, &format!("{} is {value}: a whole number of pixels is meant", names[0]))
