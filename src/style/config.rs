@@ -227,7 +227,6 @@ impl Config {
                 level(|c| {
                     c.pointillism.col_skip = c.pointillism.col_skip.max(8);
                     c.pointillism.row_skip = c.pointillism.row_skip.max(8);
-                    c.pointillism.num_particles = c.pointillism.num_particles.min(10_000);
                 }),
             ],
             StyleName::Sketchy => vec![
