@@ -166,7 +166,7 @@ fn damaged_calibrations_are_answered_at_once_and_never_panic() {
                 0 => bytes[at] = rng.int(0, 255) as u8,
                 1 => bytes.truncate(at + 1),
                 2 => drop(bytes.remove(at)),
-                3 => bytes.insert(at, b"[]{}:-?&*!|>'\"%@,#\n\t "[rng.int(0, 21) as usize]),
+                3 => bytes.insert(at, b"[]{}:-?&*!|>'\"%@,#\n\t "[rng.int(0, 20) as usize]),
                 _ => bytes.extend_from_within(at..),
             }
         }
