@@ -344,6 +344,39 @@ mod tests {
         }
     }
 
+    /// Where the whole picture changes every frame, nothing tells where to look.
+    #[test]
+    fn new_prints_are_found_within_ten_frames_from_a_moving_camera() {
+        let size = Size::new(320, 240);
+        let lens = Lens::guess(size);
+        let mut noise = crate::pixels::SplitMix64::new(5);
+        let wall = Plane::from_fn(Size::new(64, 64), |_, _| 90 + (noise.next_u64() % 80) as u8);
+        for appears in 20..30 {
+            let mut tracker = Tracker::new(Config::default(), simd::Level::fallback());
+            let mut waited = 0;
+            for number in 0..60 {
+                let mut frame_picture = picture(Some((17, 40, 70)));
+                let other = picture(Some((23, 200, 90)));
+                for y in 0..240 {
+                    for x in 0..320 {
+                        let known = (24..136).contains(&x) && (54..166).contains(&y);
+                        let new = number >= appears && (184..296).contains(&x) && (74..186).contains(&y);
+                        // what is around the prints moves by several pixels
+                        let behind = wall.at((x / 3 + 5 * number as usize) % 64, (y / 3) % 64);
+                        let gray = if new { other.at(x, y) } else { behind };
+                        if !known {
+                            frame_picture.row_mut(y)[x] = gray;
+                        }
+                    }
+                }
+                let seen = tracker.follow(frame_picture.view(), &lens, &wanted(), frame(number));
+                assert!(seen.iter().any(|s| s.id == 17), "frame {number}");
+                waited += u32::from(number >= appears && !seen.iter().any(|s| s.id == 23));
+            }
+            assert!(waited < 10, "seen {waited} frames after it appeared in {appears}");
+        }
+    }
+
     #[test]
     fn a_clock_that_does_not_run_on_starts_anew() {
         let lens = Lens::guess(Size::new(320, 240));
