@@ -42,10 +42,11 @@ fn hands_are_followed_through_blur_and_covers() {
         let film = Film::hands(SIZE, 150, 3.0, 200.0, count, seed);
         let seen = seen(&film);
         assert_eq!((seen.flipped, seen.wrong), (0, 0), "{count} prints: {seen:?}");
-        assert!(seen.delay <= 10 && seen.lag.iter().all(|frames| frames.abs() < 0.3), "{seen:?}");
+        // the camera rests: what is new is where the picture changed
+        assert!(seen.delay <= 3 && seen.lag.iter().all(|frames| frames.abs() < 0.3), "{seen:?}");
         (readable, tracked) = (readable + seen.readable, tracked + seen.tracked);
     }
-    assert!(tracked * 100 >= readable * 97, "{tracked} of {readable}");
+    assert!(tracked * 100 >= readable * 99, "{tracked} of {readable}");
 }
 
 /// Everything that is reported about a film.

@@ -42,8 +42,10 @@ impl<'a> View<'a> {
         // `max` also turns NaN into 0
         let x = p.x.max(0.0).min((size.width - 1) as f64);
         let y = p.y.max(0.0).min((size.height - 1) as f64);
-        let (column, row) = (x as usize, y as usize);
-        let (s, t) = (x - column as f64, y - row as f64);
+        // 32 bits hold every coordinate, and convert in one instruction either way
+        let (column, row) = (x as i32, y as i32);
+        let (s, t) = (x - f64::from(column), y - f64::from(row));
+        let (column, row) = (column as usize, row as usize);
         let right = (column + 1).min(size.width - 1);
         let (top, bottom) = (self.luma.row(row), self.luma.row((row + 1).min(size.height - 1)));
         let mix = |line: &[u8]| f64::from(line[column]) * (1.0 - s) + f64::from(line[right]) * s;

@@ -10,6 +10,7 @@ use super::decode::{Decoded, View};
 use super::known::{Scene, Track};
 use super::quad::Quad;
 use super::rectify;
+use super::watch::Watch;
 use super::{Tracker, Wanted, bounds, mean_side, wish};
 use crate::frame::{Sighting, State};
 use crate::geometry::Lens;
@@ -25,12 +26,18 @@ const MOST_WINDOWS: usize = 2;
 /// Longest time a marker is held; a shorter gap between pictures than this is none, s.
 const MOST_HOLD_MS: u32 = 2000;
 const LEAST_GAP: f64 = 0.1;
-/// Frames in which the strips of the picture come around, and the frames from one to the next; in between the halved
-/// picture is searched, one frame in so many. Only markers too small for the halved picture need the strips, and
-/// have room in their overlap.
-const CYCLE: usize = 144;
-const STRIP_EVERY: usize = 6;
-const HALF_EVERY: usize = 6;
+/// Share of the picture that may be searched in a frame on average, and how much of it can be saved up. Searching a
+/// region of the halved picture counts for a quarter: when all of the picture changes, that is searched every eighth
+/// frame.
+const ALLOWANCE: f64 = 1.0 / 32.0;
+const MOST_SAVED: f64 = 1.0 / 3.0;
+/// Where nothing changes, what was not read before has another chance: in the halved picture every so many frames,
+/// and in strips of the whole one, for markers too small for the halved one, which have room in their overlap.
+const HALF_EVERY: usize = 45;
+const STRIP_EVERY: usize = 20;
+/// The same while more changes than may be searched.
+const BUSY_STRIP_EVERY: usize = 6;
+const STRIPS: usize = 24;
 const OVERLAP_PX: f64 = 34.0;
 /// Most blobs that are looked at in a slice.
 const MOST_CANDIDATES: usize = 300;
@@ -42,7 +49,14 @@ pub struct Follow {
     lens: Option<Lens>,
     wanted: Vec<Wanted>,
     at: f64,
-    turn: usize,
+    watch: Watch,
+    /// Pixels that may be searched besides.
+    saved: f64,
+    /// Frames since all of the halved picture was searched or more changed than may be searched; frames since the last
+    /// strip; strips so far.
+    idle: usize,
+    since_strip: usize,
+    strip: usize,
 }
 
 impl Tracker {
@@ -71,7 +85,7 @@ impl Tracker {
             let prints: usize = self.boards.iter().map(|board| board.prints.len()).sum();
             self.sightings.reserve(MOST + prints);
             self.decoded.reserve(4 * MOST);
-            follow.turn = 0;
+            (follow.saved, follow.idle, follow.since_strip, follow.strip) = (0.0, 0, 0, 0);
             follow.wanted.clear();
             follow.wanted.extend_from_slice(wanted);
             follow.lens = Some(*lens);
@@ -94,6 +108,7 @@ impl Tracker {
             self.search_slice(luma, lens, wanted);
         } else {
             self.search(luma, lens, wanted);
+            self.follow.watch.settle(luma, level);
         }
         super::keep_best(&mut self.decoded);
         let scene = Scene { view, rectify: &self.rectify, patterns: &self.patterns, level, at };
@@ -102,7 +117,6 @@ impl Tracker {
         }
         self.follow.tracks.retain(|track| at - track.seen_at() <= hold);
         self.follow.drop_doubles();
-        self.follow.turn += 1;
         self.sightings
             .extend(self.follow.tracks.iter().map(|track| track.sighting(at, lens, self.config.smooth)));
         self.boards.iter().for_each(|board| super::board::settle(board, lens, &mut self.sightings));
@@ -132,16 +146,43 @@ impl Tracker {
         }
     }
 
-    /// Looks for new markers in this frame's share of the picture.
+    /// Looks for new markers: where the picture has changed, and in this frame's share of the rest.
     fn search_slice(&mut self, luma: PlaneRef<'_, u8>, lens: &Lens, wanted: &[Wanted]) {
         let Size { width, height } = luma.size();
-        let turn = self.follow.turn % CYCLE;
         let (w, h) = (width as f64, height as f64);
-        if turn.is_multiple_of(HALF_EVERY) {
+        let area =
+            |[low, high]: [DVec2; 2]| (high.x.min(w) - low.x.max(0.0)) * (high.y.min(h) - low.y.max(0.0));
+        let follow = &mut self.follow;
+        let seen = || follow.tracks.iter().filter(|track| track.state != State::Held);
+        let noise = seen().map(Track::noise).fold(f64::INFINITY, f64::min);
+        let quads = seen().map(|track| track.place().map(|p| rectify::seen(lens, p)));
+        follow.watch.look(luma, noise, quads, self.level);
+        follow.saved = (follow.saved + ALLOWANCE * w * h).min(MOST_SAVED * w * h);
+        let mut busy = false;
+        while let Some(region) = self.follow.watch.due() {
+            let part = region.bounds();
+            busy = 0.25 * area(part) > self.follow.saved;
+            if busy {
+                break;
+            }
+            for (step, cost) in [(2, 0.25 * area(part)), (1, area(part))] {
+                if cost <= self.follow.saved {
+                    self.follow.saved -= cost;
+                    self.search_part(luma, lens, wanted, part, step, MOST_CANDIDATES);
+                }
+            }
+            self.follow.watch.searched(&region);
+        }
+        self.follow.idle = if busy { 0 } else { self.follow.idle + 1 };
+        self.follow.since_strip += 1;
+        if self.follow.idle == HALF_EVERY {
+            self.follow.idle = 0;
             self.search_part(luma, lens, wanted, [DVec2::ZERO, DVec2::new(w, h)], 2, MOST_CANDIDATES);
-        } else if turn % STRIP_EVERY == 1 {
-            let strip = h / (CYCLE / STRIP_EVERY) as f64;
-            let top = strip * (turn / STRIP_EVERY) as f64;
+        } else if self.follow.since_strip >= if busy { BUSY_STRIP_EVERY } else { STRIP_EVERY } {
+            self.follow.since_strip = 0;
+            let strip = h / STRIPS as f64;
+            let top = strip * (self.follow.strip % STRIPS) as f64;
+            self.follow.strip += 1;
             let low = DVec2::new(0.0, top - OVERLAP_PX);
             self.search_part(luma, lens, wanted, [low, DVec2::new(w, top + strip)], 1, MOST_CANDIDATES);
         }
@@ -300,6 +341,39 @@ mod tests {
             if number > 16 {
                 assert_eq!(seen.len(), 1, "the other is forgotten");
             }
+        }
+    }
+
+    /// Where the whole picture changes every frame, nothing tells where to look.
+    #[test]
+    fn new_prints_are_found_within_ten_frames_from_a_moving_camera() {
+        let size = Size::new(320, 240);
+        let lens = Lens::guess(size);
+        let mut noise = crate::pixels::SplitMix64::new(5);
+        let wall = Plane::from_fn(Size::new(64, 64), |_, _| 90 + (noise.next_u64() % 80) as u8);
+        for appears in 20..30 {
+            let mut tracker = Tracker::new(Config::default(), simd::Level::fallback());
+            let mut waited = 0;
+            for number in 0..60 {
+                let mut frame_picture = picture(Some((17, 40, 70)));
+                let other = picture(Some((23, 200, 90)));
+                for y in 0..240 {
+                    for x in 0..320 {
+                        let known = (24..136).contains(&x) && (54..166).contains(&y);
+                        let new = number >= appears && (184..296).contains(&x) && (74..186).contains(&y);
+                        // what is around the prints moves by several pixels
+                        let behind = wall.at((x / 3 + 5 * number as usize) % 64, (y / 3) % 64);
+                        let gray = if new { other.at(x, y) } else { behind };
+                        if !known {
+                            frame_picture.row_mut(y)[x] = gray;
+                        }
+                    }
+                }
+                let seen = tracker.follow(frame_picture.view(), &lens, &wanted(), frame(number));
+                assert!(seen.iter().any(|s| s.id == 17), "frame {number}");
+                waited += u32::from(number >= appears && !seen.iter().any(|s| s.id == 23));
+            }
+            assert!(waited < 10, "seen {waited} frames after it appeared in {appears}");
         }
     }
 

@@ -56,6 +56,8 @@ pub struct Track {
     margin: f64,
     filter: Option<Filter>,
     error_px: f64,
+    /// What the print leaves unexplained of the picture, gray levels (RMS): the noise, or more.
+    rms: f64,
     /// The pose of this picture alone.
     measured: Pose,
     /// From the measured corners to the smoothed ones, ideal px.
@@ -115,6 +117,7 @@ impl Track {
             margin: found.margin,
             filter: None,
             error_px: 0.0,
+            rms: aligned.rms,
             measured: Pose { rotation: DMat3::IDENTITY, translation: DVec3::Z },
             smoothed: [DVec2::ZERO; 4],
             other: None,
@@ -309,6 +312,11 @@ impl Track {
         self.seen[0].0
     }
 
+    /// The picture's noise about it, or more: deviation, gray levels.
+    pub fn noise(&self) -> f64 {
+        self.rms
+    }
+
     /// Where it was last seen, ideal pixels.
     pub fn place(&self) -> &Quad {
         &self.seen[0].1
@@ -328,7 +336,7 @@ impl Track {
         }
         self.seen[0] = (scene.at, aligned.quad);
         self.depth = (self.depth + 1).min(3);
-        (self.inks, self.blur) = (aligned.inks, aligned.blur);
+        (self.inks, self.blur, self.rms) = (aligned.inks, aligned.blur, aligned.rms);
         true
     }
 

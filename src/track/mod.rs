@@ -24,6 +24,7 @@ mod search;
 mod segment;
 pub mod solve;
 mod threshold;
+mod watch;
 
 use crate::frame::{Sighting, Solved, State};
 use crate::geometry::Lens;

@@ -10,7 +10,7 @@ use super::segment::{Blob, Segment};
 use super::threshold::Threshold;
 use crate::pixels::simd::{Level, dispatch};
 use crate::pixels::{Plane, PlaneRef, Size};
-use fearless_simd::Simd;
+use fearless_simd::{Simd, prelude::*, u8x32, u16x16};
 use glam::DVec2;
 use rayon::prelude::*;
 
@@ -159,11 +159,34 @@ pub fn invert(luma: PlaneRef<'_, u8>, inverse: &mut Plane<u8>) {
 /// Rows of a halved picture that a task takes.
 const BAND: usize = 64;
 
+/// Means made at once.
+const RUN: usize = 32;
+
 #[inline(always)]
-fn mean<S: Simd>(_simd: S, above: &[u8], below: &[u8], out: &mut [u8]) {
-    let pairs = above.as_chunks::<2>().0.iter().zip(below.as_chunks::<2>().0);
-    for (out, (a, b)) in out.iter_mut().zip(pairs) {
+fn mean<S: Simd>(simd: S, above: &[u8], below: &[u8], out: &mut [u8]) {
+    let mut runs = out.chunks_exact_mut(RUN);
+    for (i, out) in (&mut runs).enumerate() {
+        let low = half(simd, above, below, 2 * i * RUN);
+        low.relaxed_narrow(half(simd, above, below, (2 * i + 1) * RUN)).store_slice(out);
+    }
+    let rest = runs.into_remainder();
+    let from = 2 * (above.len() / 2 - rest.len());
+    let pairs = above[from..].as_chunks::<2>().0.iter().zip(below[from..].as_chunks::<2>().0);
+    for (out, (a, b)) in rest.iter_mut().zip(pairs) {
         let sum = u16::from(a[0]) + u16::from(a[1]) + u16::from(b[0]) + u16::from(b[1]);
         *out = ((sum + 2) >> 2) as u8;
     }
+}
+
+/// Means of 2x2 pixels from `at` on.
+#[inline(always)]
+fn half<S: Simd>(simd: S, above: &[u8], below: &[u8], at: usize) -> u16x16<S> {
+    (pairs(simd, above, at) + pairs(simd, below, at) + 2) >> 2
+}
+
+/// Sums of neighbors two by two, 32 pixels from `at` on.
+#[inline(always)]
+pub fn pairs<S: Simd>(simd: S, row: &[u8], at: usize) -> u16x16<S> {
+    let gray: u16x16<S> = u8x32::from_slice(simd, &row[at..at + 32]).bitcast();
+    (gray & 0xff) + (gray >> 8)
 }

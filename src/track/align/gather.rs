@@ -83,8 +83,9 @@ pub fn gather<S: Simd>(
     let rows = (low - slack).max(0.0) as usize..((high + slack).max(0.0) as usize + 1).min(size.height);
     let near =
         Near { simd, inverse: f32s(&inverse), pattern, blur: blur.map(|v| v as f32), quiet: quiet as f32 };
+    let sides = [0, 1, 2, 3].map(|i| Side::new(outer[i], outer[(i + 1) % 4]));
     for y in rows {
-        let Some([from, to]) = span(&outer, y as f64, slack) else { continue };
+        let Some([from, to]) = span(&sides, y as f64, slack) else { continue };
         let from = from.max(0.0) as usize;
         let to = (to.max(0.0) as usize + 1).min(size.width);
         let line = view.luma.row(y);
@@ -125,20 +126,33 @@ pub fn f32s(m: &DMat3) -> [[f32; 3]; 3] {
     [m.x_axis, m.y_axis, m.z_axis].map(|c| [c.x as f32, c.y as f32, c.z as f32])
 }
 
+/// A side of the outline, from its upper end.
+#[derive(Clone, Copy)]
+struct Side {
+    upper: DVec2,
+    lower: f64,
+    slope: f64,
+}
+
+impl Side {
+    fn new(p: DVec2, q: DVec2) -> Self {
+        let (p, q) = if p.y <= q.y { (p, q) } else { (q, p) };
+        Self { upper: p, lower: q.y, slope: (q.x - p.x) / (q.y - p.y).max(1e-9) }
+    }
+}
+
 /// Least and greatest x of the quadrilateral within `slack` of row `y`.
-fn span(quad: &[DVec2; 4], y: f64, slack: f64) -> Option<[f64; 2]> {
+fn span(sides: &[Side; 4], y: f64, slack: f64) -> Option<[f64; 2]> {
     let (mut least, mut most) = (f64::MAX, f64::MIN);
     let (top, bottom) = (y - slack, y + slack);
-    for i in 0..4 {
-        let (p, q) = (quad[i], quad[(i + 1) % 4]);
-        let (p, q) = if p.y <= q.y { (p, q) } else { (q, p) };
-        if q.y < top || p.y > bottom {
+    for side in sides {
+        if side.lower < top || side.upper.y > bottom {
             continue;
         }
-        let slope = (q.x - p.x) / (q.y - p.y).max(1e-9);
-        let at = |y: f64| p.x + (y.clamp(p.y, q.y) - p.y) * slope;
-        for x in [at(top), at(bottom)] {
-            (least, most) = (least.min(x), most.max(x));
+        for y in [top, bottom] {
+            let down = y.max(side.upper.y).min(side.lower) - side.upper.y;
+            let x = side.upper.x + down * side.slope;
+            (least, most) = (if x < least { x } else { least }, if x > most { x } else { most });
         }
     }
     (least <= most).then_some([least - slack, most + slack])

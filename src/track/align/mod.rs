@@ -41,10 +41,8 @@ const STEPS: [usize; 2] = [6, 3];
 const PATIENCE: [usize; 2] = [8, 6];
 /// A fit whose last step was longer has not settled, px.
 const SETTLED_PX: f64 = 0.25;
-/// How many of these steps, on either set, find the matrix of the equations anew.
-const FRESH: [usize; 2] = [9, 9];
-/// The same where the blur is known.
-const FRESH_KNOWN: [usize; 2] = [3, 9];
+/// Steps on the thin set after which the equations keep their matrix, where the blur is known.
+const FRESH: usize = 3;
 /// A step shorter than this, px, was the last one on either set.
 const ENOUGH_PX: [f64; 2] = [0.1, 0.1];
 /// Pixels of the thin set.
@@ -156,8 +154,8 @@ fn align_with(
         if let (true, Some(blur)) = (whole, start.blur) {
             fit.blur = blur.map(|v| v * unit * unit);
         }
-        let (steps, fresh) = if start.blur.is_some() { (PATIENCE, FRESH_KNOWN) } else { (STEPS, FRESH) };
-        let steps = steps[usize::from(whole)];
+        let known = start.blur.is_some();
+        let steps = if known { PATIENCE } else { STEPS }[usize::from(whole)];
         let (most, grow) = if whole { (most, 1.15) } else { (THIN_SAMPLES, 1.33) };
         dispatch!(level, simd => gather::gather(simd, view, rectify, &fit, pattern, most, grow, samples));
         if samples.count < 4 * UNKNOWNS {
@@ -166,7 +164,7 @@ fn align_with(
         let mut a = None;
         for turn in 0..steps {
             // near the end A changes no more
-            let fresh = turn < fresh[usize::from(whole)] || a.is_none();
+            let fresh = !known || whole || turn < FRESH || a.is_none();
             let mut sums = dispatch!(level, simd => equations::normal(simd, samples, pattern, &fit, fresh))?;
             match a {
                 Some(a) if !fresh => sums.a = a,
