@@ -1,7 +1,8 @@
 // Plays a raw YUYV clip into the kernel's vivid driver: what is written to /dev/video1 comes out of /dev/video0.
 //
-// usage: feed CLIP WIDTH HEIGHT [HOLD]    plays CLIP forward, then backward, for ever; every frame is held for
-// HOLD frame periods (default 1). Needs a DV timing of WIDTHxHEIGHT. Prints "feeding" once frames flow.
+// usage: feed CLIP WIDTH HEIGHT [HOLD [DROP]]    plays CLIP forward, then backward, for ever; every frame is held for
+// HOLD frame periods (default 1). The camera loses DROP % of its frames (default 0), which saves the board's time.
+// Needs a DV timing of WIDTHxHEIGHT. Prints "feeding" once frames flow.
 #include <errno.h>
 #include <fcntl.h>
 #include <linux/videodev2.h>
@@ -54,7 +55,7 @@ static void set_control(int fd, const char *name, int value) {
 }
 
 int main(int argc, char **argv) {
-    if (argc < 4) return fprintf(stderr, "usage: feed CLIP WIDTH HEIGHT [HOLD]\n"), 2;
+    if (argc < 4) return fprintf(stderr, "usage: feed CLIP WIDTH HEIGHT [HOLD [DROP]]\n"), 2;
     const unsigned width = atoi(argv[2]), height = atoi(argv[3]), hold = argc > 4 ? atoi(argv[4]) : 1;
     const size_t bytes = (size_t)width * height * 2;
 
@@ -75,6 +76,7 @@ int main(int argc, char **argv) {
     set_timings(output, width, height);
     set_control(camera, "OSD Text Mode", 2);
     set_control(camera, "Loop Video", 1);
+    set_control(camera, "Percentage of Dropped Buffers", argc > 5 ? atoi(argv[5]) : 0);
 
     const enum v4l2_buf_type type = V4L2_BUF_TYPE_VIDEO_OUTPUT;
     struct v4l2_format format = {.type = type};
