@@ -141,8 +141,8 @@ fn pictures_that_decide_no_lens_are_refused_with_what_is_missing() {
     film(&here, Family::Tag36h11, 2, 40.0);
     refused(&here, "2 pictures show the sheet well enough");
     let here = folder("other");
-    film(&here, Family::Aruco5x5_100, 3, 40.0);
-    refused(&here, "the pictures show aruco_5x5_100 markers: give --family aruco_5x5_100");
+    film(&here, Family::Aruco5x5_50, 3, 40.0);
+    refused(&here, "the pictures show aruco_5x5_50 markers: give --family aruco_5x5_50");
     let here = folder("sizes");
     film(&here, Family::Tag36h11, 1, 40.0);
     std::fs::write(here.join("zz.pgm"), b"P5\n2 2\n255\n1234").expect("a picture");

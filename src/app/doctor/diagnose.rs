@@ -343,8 +343,8 @@ fn machine(facts: &Facts, found: &mut Vec<Finding>) {
         let when = if supply(true) { "now" } else { "since it was switched on" };
         let todo = "a stronger power supply and a short, thick cable";
         found.push(odd("the board gets too little voltage", format!("firmware: {bits:#x}, {when}"), todo));
-    }
-    if bits & 0x6 != 0 && cool {
+    } else if bits & 0x6 != 0 && cool {
+        // with too little voltage it is that what holds the processor back
         let todo = "give it air or a heat sink";
         found.push(odd("the firmware holds the processor back", format!("firmware: {bits:#x}"), todo));
     }
