@@ -143,7 +143,7 @@ fn explained(error: anyhow::Error, seen: &u64, path: &Path, board: &Board) -> an
     match (seen, others(path, board)) {
         (0, Some(family)) => {
             anyhow::anyhow!(
-                "{}: the pictures show {} markers: give --family {0}",
+                "{}: the pictures show {1} markers: give --family {1}",
                 path.display(),
                 family.name()
             )
