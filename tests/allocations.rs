@@ -2,9 +2,12 @@
 //!
 //! The counter is the process's global allocator, so this test has a binary of its own.
 
+#[path = "common/counting.rs"]
+mod counting;
+
 use clap::ValueEnum;
-use std::alloc::{GlobalAlloc, Layout, System};
-use std::sync::atomic::{AtomicU64, Ordering};
+use counting::ALLOCATIONS;
+use std::sync::atomic::Ordering;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use vernissage::camera::{Synthetic, SyntheticConfig};
 use vernissage::display::Sink;
@@ -15,39 +18,12 @@ use vernissage::pixels::{Size, simd};
 use vernissage::scene::{LightConfig, ModelConfig, Scene};
 use vernissage::style::{self, StyleName};
 
-struct Counting;
-
-static ALLOCATIONS: AtomicU64 = AtomicU64::new(0);
-
 /// Held by the test that counts: the others' allocations would be counted with its own.
 static COUNTING: Mutex<()> = Mutex::new(());
 
 fn alone() -> MutexGuard<'static, ()> {
     COUNTING.lock().unwrap_or_else(PoisonError::into_inner)
 }
-
-// SAFETY: every call goes to the system allocator unchanged; counting touches no memory it hands out.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        ALLOCATIONS.fetch_add(1, Ordering::Relaxed);
-        // SAFETY: the caller's promise is passed on.
-        unsafe { System.alloc(layout) }
-    }
-
-    unsafe fn dealloc(&self, at: *mut u8, layout: Layout) {
-        // SAFETY: the caller's promise is passed on.
-        unsafe { System.dealloc(at, layout) }
-    }
-
-    unsafe fn realloc(&self, at: *mut u8, layout: Layout, size: usize) -> *mut u8 {
-        ALLOCATIONS.fetch_add(1, Ordering::Relaxed);
-        // SAFETY: the caller's promise is passed on.
-        unsafe { System.realloc(at, layout, size) }
-    }
-}
-
-#[global_allocator]
-static ALLOCATOR: Counting = Counting;
 
 fn teapot() -> Scene {
     let text = "file = \"teapot\"\nmarker = { id = 7 }\n";

@@ -1,27 +1,13 @@
 //! `vernissage run` under a service manager: ready once a picture is shown, alive while pictures are shown.
 
+#[path = "common/folder.rs"]
+mod folder;
+
+use folder::Folder;
 use std::io::Write;
 use std::os::unix::net::UnixDatagram;
-use std::path::PathBuf;
 use std::process::{Child, Command, Stdio};
 use std::time::Duration;
-
-/// A folder of its own, gone when dropped.
-struct Folder(PathBuf);
-
-impl Folder {
-    fn new(name: &str) -> Self {
-        let folder = std::env::temp_dir().join(format!("vernissage-{name}-{}", std::process::id()));
-        std::fs::create_dir_all(&folder).expect("a temporary folder");
-        Self(folder)
-    }
-}
-
-impl Drop for Folder {
-    fn drop(&mut self) {
-        _ = std::fs::remove_dir_all(&self.0);
-    }
-}
 
 /// Runs the appliance with a manager that listens and wants a sign of life every second.
 fn run(folder: &Folder, camera: &str, more: &[&str]) -> (UnixDatagram, Child) {

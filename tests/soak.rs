@@ -3,7 +3,10 @@
 //!
 //! The counter is the process's global allocator, so this test has a binary of its own.
 
-use std::alloc::{GlobalAlloc, Layout, System};
+#[path = "common/counting.rs"]
+mod counting;
+
+use counting::ALLOCATIONS;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 use vernissage::display::{Composer, Filter, Layout as Place, Rotate, Scale, Sink};
@@ -14,33 +17,6 @@ use vernissage::pipeline::{Pipeline, latest};
 use vernissage::pixels::{Size, simd};
 use vernissage::scene::Scene;
 use vernissage::style::{self, StyleName};
-
-struct Counting;
-
-static ALLOCATIONS: AtomicU64 = AtomicU64::new(0);
-
-// SAFETY: every call goes to the system allocator unchanged; counting touches no memory it hands out.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        ALLOCATIONS.fetch_add(1, Ordering::Relaxed);
-        // SAFETY: the caller's promise is passed on.
-        unsafe { System.alloc(layout) }
-    }
-
-    unsafe fn dealloc(&self, at: *mut u8, layout: Layout) {
-        // SAFETY: the caller's promise is passed on.
-        unsafe { System.dealloc(at, layout) }
-    }
-
-    unsafe fn realloc(&self, at: *mut u8, layout: Layout, size: usize) -> *mut u8 {
-        ALLOCATIONS.fetch_add(1, Ordering::Relaxed);
-        // SAFETY: the caller's promise is passed on.
-        unsafe { System.realloc(at, layout, size) }
-    }
-}
-
-#[global_allocator]
-static ALLOCATOR: Counting = Counting;
 
 const SIZE: Size = Size::new(64, 48);
 

@@ -12,9 +12,11 @@ pub mod keys;
 mod link;
 mod port;
 mod press;
+mod status;
 
 pub use codec::{Dropped, Heard, Line, Outcome, Said, Wire, checksum, frame};
 pub use config::{Action, ButtonConfig, Config, Console};
-pub use link::{Ask, Link, Markers, Mode, Status};
+pub use link::{Ask, Link};
 pub use port::{Port, PortError};
 pub use press::{Kind, Press, Presses, Wanted};
+pub use status::{Markers, Mode, Status};

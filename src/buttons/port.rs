@@ -3,7 +3,8 @@
 //! the status lies behind a lock that the loop only takes when it is free.
 
 use super::codec::Outcome;
-use super::link::{Ask, Link, Status};
+use super::link::{Ask, Link};
+use super::status::Status;
 use super::{Action, Config};
 use serialport::SerialPort;
 use std::io::ErrorKind;
