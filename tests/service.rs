@@ -1,4 +1,5 @@
-//! `vernissage run` under a service manager: ready once a picture is shown, alive while pictures are shown.
+//! `vernissage run` under a service manager: ready once a picture is shown, alive while pictures are shown, given time
+//! while a screen is waited for.
 
 #[path = "common/folder.rs"]
 mod folder;
@@ -12,7 +13,8 @@ use std::time::Duration;
 /// Runs the appliance with a manager that listens and wants a sign of life every second.
 fn run(folder: &Folder, camera: &str, more: &[&str]) -> (UnixDatagram, Child) {
     let config = folder.0.join("visor.toml");
-    let text = format!("[camera]\n{camera}\nwidth = 160\nheight = 120\n[display]\nsink = \"null\"\n");
+    let sink = if more.contains(&"--wait") { "kms\"\ncard = \"/dev/dri/no-such-card" } else { "null" };
+    let text = format!("[camera]\n{camera}\nwidth = 160\nheight = 120\n[display]\nsink = \"{sink}\"\n");
     std::fs::write(&config, text).expect("a settings file");
     let path = folder.0.join("notify");
     let socket = UnixDatagram::bind(&path).expect("a socket");
@@ -78,4 +80,19 @@ fn nothing_shown_is_not_ready() {
     socket.set_read_timeout(Some(Duration::from_secs(10))).expect("a limit");
     assert!(next(&socket).expect("a message").contains("STOPPING=1"));
     assert!(child.wait().expect("an end").success());
+}
+
+/// A screen that is not there yet is no failure: more time to start, and never ready.
+#[test]
+fn a_screen_that_is_waited_for_is_given_time() {
+    let folder = Folder::new("service-waits");
+    let (socket, mut child) = run(&folder, "source = \"synthetic\"", &["--wait", "--frames", "1"]);
+    let mut heard = Vec::new();
+    while heard.iter().filter(|m: &&String| m.starts_with("EXTEND_TIMEOUT_USEC=30000000")).count() < 3 {
+        heard.push(next(&socket).expect("a message"));
+    }
+    assert!(heard.iter().any(|message| message.contains("STATUS=nothing to show on")), "{heard:?}");
+    assert!(!heard.iter().any(|m| m.contains("READY=1") || m.contains("WATCHDOG=1")), "{heard:?}");
+    child.kill().expect("it runs");
+    child.wait().expect("an end");
 }

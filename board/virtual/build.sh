@@ -20,7 +20,7 @@ target=aarch64-unknown-linux-gnu
   CARGO_TARGET_DIR="$root/target-arm" \
   cargo build --release --quiet --target "$target" --bin vernissage)
 cp "$root/target-arm/$target/release/vernissage" "$dir/vernissage"
-for program in feed ctl; do
+for program in feed ctl hold; do
   aarch64-linux-gnu-gcc -std=gnu11 -O2 -Wall -Wextra -Werror -static -o "$dir/$program" "$here/$program.c"
 done
 
@@ -39,11 +39,16 @@ release=$(ls "$dir/kernel/lib/modules")
 for module in virtio_gpu virtio_pci virtio_console 9p 9pnet_virtio vivid; do
   /sbin/modprobe -d "$dir/kernel" -S "$release" --show-depends "$module" | awk '/^insmod/{print $2}'
 done | awk '!seen[$0]++' > "$dir/modules"
+# and those of a USB port with a serial adapter, for the tests that want one
+for module in xhci_pci ftdi_sio; do
+  /sbin/modprobe -d "$dir/kernel" -S "$release" --show-depends "$module" | awk '/^insmod/{print $2}'
+done | awk '!seen[$0]++' > "$dir/modules.usb"
 rm -f "$dir"/init/mods/*
-xargs -a "$dir/modules" cp -t "$dir/init/mods/"
+sort -u "$dir/modules" "$dir/modules.usb" | xargs cp -t "$dir/init/mods/"
 awk -F/ '{print $NF}' "$dir/modules" | grep -v '^vivid.ko' > "$dir/init/mods/order"
+awk -F/ '{print $NF}' "$dir/modules.usb" > "$dir/init/mods/usb"
 cp "$dir/busybox/bin/busybox" "$dir/init/bin/"
-cp "$dir/vernissage" "$dir/feed" "$dir/ctl" "$dir/init/bin/"
+cp "$dir/vernissage" "$dir/feed" "$dir/ctl" "$dir/hold" "$dir/init/bin/"
 cp "$here/init.sh" "$dir/init/init"
 chmod +x "$dir/init/init"
 (cd "$dir/init" && find . | cpio -o -H newc 2>/dev/null | gzip -1) > "$dir/initrd.gz"

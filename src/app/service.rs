@@ -1,4 +1,6 @@
-//! What the service manager is told: ready once a picture is shown, alive while pictures are shown, stopping.
+//! What the service manager is told: ready once a picture is shown, alive while pictures are shown, stopping; and, in
+//! words, whether pictures are shown. A visor that waits for its screen is not ready and not stuck: it asks for more time
+//! to start as long as its frame loop runs.
 //!
 //! A thread of its own writes to the manager's socket; the frame loop only counts. Without a manager
 //! (`NOTIFY_SOCKET` is not set) nothing is done.
@@ -11,6 +13,11 @@ use std::time::Duration;
 
 /// How often the manager hears of us where it asks for no watchdog.
 const REPORT_EVERY: Duration = Duration::from_secs(10);
+/// How much more time to start is asked for at every report while a screen is waited for, microseconds.
+const MORE_TIME_US: u32 = 30_000_000;
+/// What is going on, in words.
+const SHOWING: &str = "showing pictures";
+const WAITING: &str = "nothing to show on: no screen, or dark by wish";
 
 /// The service manager's side of a run; when dropped, it is told that the run ends.
 pub struct Service {
@@ -71,17 +78,24 @@ impl Drop for Service {
 fn report(told: &Told) {
     let watchdog = sd_notify::watchdog_enabled();
     let every = watchdog.map_or(REPORT_EVERY, |limit| limit / 4);
-    let (mut ready, mut last) = (false, 0);
+    let (mut ready, mut before, mut said) = (false, (0, 0), "");
     while !told.stop.load(Ordering::Relaxed) {
-        let shown = told.shown.load(Ordering::Relaxed);
-        let waited = told.waited.load(Ordering::Relaxed);
+        let (shown, waited) = (told.shown.load(Ordering::Relaxed), told.waited.load(Ordering::Relaxed));
+        let runs = (shown, waited) != before;
         if shown > 0 && !ready {
-            ready = true;
-            tell(&[NotifyState::Ready, NotifyState::Status("showing pictures")]);
-        } else if shown + waited != last && watchdog.is_some() {
+            (ready, said) = (true, SHOWING);
+            tell(&[NotifyState::Ready, NotifyState::Status(SHOWING)]);
+        } else if runs && !ready {
+            tell(&[NotifyState::ExtendTimeoutUsec(MORE_TIME_US)]);
+        } else if runs && watchdog.is_some() {
             tell(&[NotifyState::Watchdog]);
         }
-        last = shown + waited;
+        let state = if shown > before.0 { SHOWING } else { WAITING };
+        if runs && state != said {
+            said = state;
+            tell(&[NotifyState::Status(state)]);
+        }
+        before = (shown, waited);
         std::thread::park_timeout(every);
     }
     tell(&[NotifyState::Stopping]);

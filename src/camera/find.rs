@@ -46,7 +46,8 @@ fn nodes() -> Vec<PathBuf> {
     found.into_iter().map(|(_, path)| path).collect()
 }
 
-fn candidate(path: &Path, config: &Config) -> (Option<Device>, Candidate) {
+/// A node, open where it opens, and what is to be said of it.
+fn candidate(path: &Path, config: &Config) -> (io::Result<Device>, Candidate) {
     let mut candidate = Candidate {
         path: path.to_path_buf(),
         card: String::new(),
@@ -58,11 +59,14 @@ fn candidate(path: &Path, config: &Config) -> (Option<Device>, Candidate) {
         Ok(device) => device,
         Err(error) => {
             candidate.refusal = Some(error.to_string());
-            return (None, candidate);
+            return (Err(error), candidate);
         }
     };
     match device.capability() {
-        Err(error) => candidate.refusal = Some(format!("not a video device ({error})")),
+        Err(error) => {
+            candidate.refusal = Some(format!("not a video device ({error})"));
+            return (Err(error), candidate);
+        }
         Ok(capability) => {
             candidate.card = capability.card;
             candidate.driver = capability.driver;
@@ -80,7 +84,7 @@ fn candidate(path: &Path, config: &Config) -> (Option<Device>, Candidate) {
             ));
         }
     }
-    (Some(device), candidate)
+    (Ok(device), candidate)
 }
 
 /// Why a node with these capability bits is not a camera for us.
@@ -154,6 +158,13 @@ pub(super) fn find(config: &Config) -> Result<(Device, Candidate), CameraError> 
     }
 }
 
+/// Whether the system says that a device is not there any more.
+pub(super) fn is_gone(error: &io::Error) -> bool {
+    const ENXIO: i32 = 6;
+    const ENODEV: i32 = 19;
+    matches!(error.raw_os_error(), Some(ENXIO | ENODEV)) || error.kind() == io::ErrorKind::NotFound
+}
+
 fn named(path: &Path, config: &Config) -> Result<(Device, Candidate), CameraError> {
     let device = config.device.clone();
     if let Err(source) = std::fs::metadata(path) {
@@ -163,7 +174,9 @@ fn named(path: &Path, config: &Config) -> Result<(Device, Candidate), CameraErro
         });
     }
     match candidate(path, config) {
-        (Some(device), candidate) if candidate.refusal.is_none() => Ok((device, candidate)),
+        (Ok(device), candidate) if candidate.refusal.is_none() => Ok((device, candidate)),
+        // it is leaving while we look
+        (Err(source), _) if is_gone(&source) => Err(CameraError::Lost { device, source }),
         (_, candidate) => {
             Err(CameraError::Unsuitable { device, reason: candidate.refusal.unwrap_or_default() })
         }
@@ -175,7 +188,7 @@ fn first(nodes: Vec<PathBuf>, what: &str, config: &Config) -> Result<(Device, Ca
     let (mut found, mut others, mut refused) = (None, Vec::new(), Vec::new());
     for path in nodes {
         match candidate(&path, config) {
-            (Some(device), candidate) if candidate.refusal.is_none() => match found {
+            (Ok(device), candidate) if candidate.refusal.is_none() => match found {
                 None => found = Some((device, candidate)),
                 Some(_) => others.push(format!("{} ({})", path.display(), candidate.card)),
             },
@@ -215,6 +228,15 @@ mod tests {
         assert_eq!(refusal(sys::V4L2_CAP_VIDEO_M2M | capture), Some("a converter, not a camera"));
         assert_eq!(refusal(sys::V4L2_CAP_VIDEO_OUTPUT), Some("it does not capture pictures"));
         assert_eq!(refusal(sys::V4L2_CAP_VIDEO_CAPTURE_MPLANE), Some("it captures in several planes only"));
+    }
+
+    #[test]
+    fn a_camera_that_leaves_is_lost_not_unsuitable() {
+        let gone = |code| is_gone(&io::Error::from_raw_os_error(code));
+        assert!(gone(19) && gone(6) && gone(2) && !gone(13) && !gone(16) && !gone(5));
+        let config = Config { device: "/dev/null".into(), ..Config::default() };
+        let error = find(&config).err().expect("no camera").to_string();
+        assert!(error.contains("not a video device"), "{error}");
     }
 
     #[test]

@@ -3,7 +3,7 @@
 //! An error means that this camera must be opened anew (drop it, then `open` again); a time-out does not.
 
 use super::controls::{self, Exposure, LockClock, Setting};
-use super::find::{Candidate, find};
+use super::find::{Candidate, find, is_gone};
 use super::grab::{Grabber, Stats};
 use super::negotiate::{self, Granted, Offer, Ranked};
 use super::raw::{RawFormat, RawRef};
@@ -184,10 +184,8 @@ impl V4l2 {
 
 /// Gone, busy or faulty?
 fn classify(device: String, step: &'static str, source: io::Error) -> CameraError {
-    const ENXIO: i32 = 6;
-    const ENODEV: i32 = 19;
-    match source.raw_os_error() {
-        Some(ENXIO | ENODEV) => CameraError::Lost { device, source },
+    match source {
+        _ if is_gone(&source) => CameraError::Lost { device, source },
         _ if source.kind() == io::ErrorKind::ResourceBusy => {
             let holder = select::holder(Path::new(&device));
             CameraError::Busy { holder: holder.unwrap_or("another program".into()), device }

@@ -13,55 +13,65 @@ const DOTS: u32 = 8;
 /// Side of a letter in letter pixels.
 const GLYPH: usize = 8;
 
-/// Draws slates of one size.
+/// Draws slates of one size. Words are drawn when they change, the wheel every time: a slate costs little while the
+/// camera is away for days.
 pub struct Slate {
     canvas: Rgb,
     beat: u32,
+    /// What the canvas says now.
+    lines: Vec<String>,
+    /// The square of the wheel, and its top left corner on the canvas.
+    wheel: Option<Mask>,
+    corner: (usize, usize),
 }
 
 impl Slate {
     /// Slates of the pictures' size.
     pub fn new(size: Size) -> Self {
-        Self { canvas: Rgb::new(size, [PAPER; 3]), beat: 0 }
+        let (x, y, radius) = wheel_of(size);
+        let half = (radius * 1.3) as usize + 2;
+        let corner = ((x as usize).saturating_sub(half), (y as usize).saturating_sub(half));
+        let side = |from: usize, whole: usize| (2 * half).min(whole.saturating_sub(from)) as u32;
+        let wheel = Mask::new(side(corner.0, size.width), side(corner.1, size.height));
+        Self { canvas: Rgb::new(size, [PAPER; 3]), beat: 0, lines: Vec::new(), wheel, corner }
     }
 
     /// The next slate with these lines (ASCII), the first one large; its wheel has turned on by one dot.
     pub fn draw(&mut self, lines: &[&str]) -> &Rgb {
-        let size = self.canvas.size();
         self.beat = (self.beat + 1) % DOTS;
-        let mask = Mask::new(size.width as u32, size.height as u32);
+        if self.lines != lines {
+            self.lines = lines.iter().map(ToString::to_string).collect();
+            self.words();
+        }
+        self.turn();
+        &self.canvas
+    }
+
+    /// A dark ground with the words.
+    fn words(&mut self) {
+        let size = self.canvas.size();
         for plane in &mut self.canvas.planes {
             plane.fill(PAPER);
         }
-        let Some(mut mask) = mask else { return &self.canvas };
-        self.wheel(&mut mask);
+        let Some(mut mask) = Mask::new(size.width as u32, size.height as u32) else { return };
         let mut top = size.height as f32 * 0.6;
-        for (number, line) in lines.iter().enumerate() {
+        for (number, line) in self.lines.iter().enumerate() {
             let least = if number == 0 { 16 } else { 32 };
             let zoom = (size.width / (GLYPH * line.len().max(least))).max(1) as f32;
             let left = (size.width as f32 - zoom * (GLYPH * line.len()) as f32) * 0.5;
             write(&mut mask, line, left, top, zoom);
             top += 1.6 * GLYPH as f32 * zoom;
         }
-        let blend = |ink: u8| {
-            let (a, ink, paper) = (u32::from(ink), u32::from(INK), u32::from(PAPER));
-            ((a * ink + (255 - a) * paper + 127) / 255) as u8
-        };
-        for (row, line) in mask.data().chunks_exact(size.width.max(1)).enumerate() {
-            for plane in &mut self.canvas.planes {
-                for (pixel, &ink) in plane.row_mut(row).iter_mut().zip(line) {
-                    *pixel = blend(ink);
-                }
-            }
-        }
-        &self.canvas
+        ink(&mut self.canvas, &mask, (0, 0));
     }
 
     /// A wheel of dots, one larger than the others.
-    fn wheel(&self, mask: &mut Mask) {
-        let (width, height) = (mask.width() as f32, mask.height() as f32);
-        let (x, y, radius) = (width * 0.5, height * 0.38, width.min(height) * 0.1);
+    fn turn(&mut self) {
+        let (x, y, radius) = wheel_of(self.canvas.size());
+        let Some(mask) = &mut self.wheel else { return };
+        mask.clear();
         let mut path = PathBuilder::new();
+        let (x, y) = (x - self.corner.0 as f32, y - self.corner.1 as f32);
         for dot in 0..DOTS {
             let turn = TAU * dot as f32 / DOTS as f32;
             let share = if dot == self.beat { 0.24 } else { 0.1 };
@@ -69,6 +79,28 @@ impl Slate {
         }
         if let Some(path) = path.finish() {
             mask.fill_path(&path, FillRule::Winding, true, Transform::identity());
+        }
+        ink(&mut self.canvas, mask, self.corner);
+    }
+}
+
+/// Center and radius of the wheel, px.
+fn wheel_of(size: Size) -> (f32, f32, f32) {
+    let (width, height) = (size.width as f32, size.height as f32);
+    (width * 0.5, height * 0.38, width.min(height) * 0.1)
+}
+
+/// Ink where the mask is, paper elsewhere, in the mask's rectangle at `corner`.
+fn ink(canvas: &mut Rgb, mask: &Mask, (left, top): (usize, usize)) {
+    let width = mask.width() as usize;
+    let blend = |ink: u8| {
+        let (a, ink, paper) = (u32::from(ink), u32::from(INK), u32::from(PAPER));
+        ((a * ink + (255 - a) * paper + 127) / 255) as u8
+    };
+    for (row, line) in mask.data().chunks_exact(width.max(1)).enumerate() {
+        for plane in &mut canvas.planes {
+            let pixels = plane.row_mut(top + row).iter_mut().skip(left);
+            pixels.zip(line).for_each(|(pixel, &ink)| *pixel = blend(ink));
         }
     }
 }
@@ -114,6 +146,10 @@ mod tests {
                 for row in words..height {
                     assert_eq!(first.planes[0].row(row), second.planes[0].row(row));
                 }
+                // what is drawn once is as what is drawn anew
+                let mut other = Slate::new(Size::new(width, height));
+                other.draw(&["NO PICTURE", "C2 - waiting for the camera"]);
+                assert_eq!(*other.draw(&["CAMERA LOST", "C1 - looking for it"]), second);
             }
         }
     }

@@ -2,7 +2,8 @@
 //!
 //! Kernels are written once, generic over `fearless_simd::Simd`, and called through `dispatch`. Every level
 //! gives the same bytes. Three bodies are built on x86-64 (scalar, SSE 4.2, AVX2), two on ARM (scalar, NEON):
-//! more levels would cost compile time and size, and nothing here is written for wider vectors.
+//! more levels would cost compile time and size, and nothing here is written for wider vectors. A release for ARM has
+//! NEON alone: every ARM of 64 bits has it, and the scalar twins were a third of the binary.
 
 pub use fearless_simd::Level;
 
@@ -21,7 +22,11 @@ macro_rules! dispatch {
                 $crate::pixels::simd::run!($crate::pixels::simd::scalar(), $simd => $op)
             }
         }
-        #[cfg(target_arch = "aarch64")]
+        #[cfg(all(target_arch = "aarch64", not(debug_assertions)))]
+        {
+            $crate::pixels::simd::run!($crate::pixels::simd::neon(level), $simd => $op)
+        }
+        #[cfg(all(target_arch = "aarch64", debug_assertions))]
         {
             if let Some(token) = level.as_neon() {
                 $crate::pixels::simd::run!(token, $simd => $op)
@@ -59,11 +64,22 @@ pub(crate) fn opaque<S: fearless_simd::Simd>(token: S) -> impl fearless_simd::Si
 }
 
 /// The scalar twin's token.
+#[cfg(any(not(target_arch = "aarch64"), debug_assertions, test))]
 #[inline(always)]
 pub(crate) fn scalar() -> fearless_simd::Fallback {
     match Level::fallback() {
         Level::Fallback(token) => token,
         _ => unreachable!("the feature force_support_fallback is on"),
+    }
+}
+
+/// NEON's token, whatever the level: the same bytes.
+#[cfg(all(target_arch = "aarch64", not(debug_assertions)))]
+#[inline(always)]
+pub(crate) fn neon(level: Level) -> fearless_simd::Neon {
+    match (level, Level::new()) {
+        (Level::Neon(token), _) | (_, Level::Neon(token)) => token,
+        _ => unreachable!("every ARM of 64 bits has NEON"),
     }
 }
 
@@ -76,9 +92,10 @@ pub fn best() -> Level {
     })
 }
 
-/// Every level this machine can run, scalar first, best last.
+/// Every level this machine can run, scalar first where it is built, best last.
 pub fn available() -> Vec<Level> {
-    let mut levels = vec![Level::fallback()];
+    let scalar = cfg!(any(not(target_arch = "aarch64"), debug_assertions)).then(Level::fallback);
+    let mut levels: Vec<Level> = scalar.into_iter().collect();
     let top = Level::new();
     #[cfg(target_arch = "x86_64")]
     {

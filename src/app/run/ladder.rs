@@ -4,7 +4,8 @@
 //! A stream that is silent for three pictures' time (250 ms at least) is stopped and started; silent still, the device
 //! is closed and opened; from then on the two take turns, each given twice the time of the one before, up to 8 s. The
 //! stream stays open meanwhile: the first picture that comes is taken. A device that failed or left is opened at once,
-//! then again after a pause that doubles. Two seconds of pictures make all forgotten.
+//! then again after a pause that doubles. Half a second of pictures makes all forgotten: troubles that follow each other
+//! are no reason to rest.
 
 use std::time::Duration;
 
@@ -19,7 +20,7 @@ const PAUSE: Duration = Duration::from_millis(50);
 const PAUSE_GONE: Duration = Duration::from_millis(150);
 const PAUSE_MOST: Duration = Duration::from_secs(1);
 /// A stream that gave pictures so long is well.
-const WELL: Duration = Duration::from_secs(2);
+const WELL: Duration = Duration::from_millis(500);
 
 /// Why the camera failed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -146,7 +147,7 @@ mod tests {
         let rest = |time: u64| Act::Rest(ms(time));
         let (gone, faulty) = (Failed(Cause::Gone), Failed(Cause::Faulty));
         // at the time in ms, what is heard, what is done
-        let table: [&[(u64, Heard, Act)]; 5] = [
+        let table: [&[(u64, Heard, Act)]; 6] = [
             // silence: restart, open, restart .. each with more time
             &[
                 (33, Picture, grab(250)),
@@ -161,14 +162,18 @@ mod tests {
                 (15000, Picture, grab(250)),
                 (15250, Silence, Act::Restart),
             ],
-            // pictures for two seconds: forgotten
+            // pictures for half a second: forgotten
             &[
                 (10, Picture, grab(250)),
                 (260, Silence, Act::Restart),
                 (270, Started, grab(2000)),
                 (300, Picture, grab(250)),
-                (2270, Picture, grab(250)),
-                (2520, Silence, Act::Restart),
+                (770, Picture, grab(250)),
+                (1020, Silence, Act::Restart),
+                (1030, Started, grab(2000)),
+                (1060, Picture, grab(250)),
+                (1529, Picture, grab(250)),
+                (1779, Silence, Act::Open),
             ],
             // gone: looked for often
             &[
@@ -194,6 +199,19 @@ mod tests {
                 (1551, faulty, rest(1000)),
                 (2551, Failed(Cause::Busy), rest(1000)),
                 (3551, gone, rest(150)),
+            ],
+            // one failure a second is opened at once, every time
+            &[
+                (10, Picture, grab(250)),
+                (20, gone, Act::Open),
+                (30, Started, grab(2000)),
+                (100, Picture, grab(250)),
+                (530, Picture, grab(250)),
+                (1000, gone, Act::Open),
+                (1010, Started, grab(2000)),
+                (1100, Picture, grab(250)),
+                (1510, Picture, grab(250)),
+                (2000, faulty, Act::Open),
             ],
             // another signal is no failure
             &[

@@ -27,6 +27,8 @@ const FIRST: Duration = Duration::from_secs(1);
 /// A slate is shown when no picture came for so many pictures' time, and no sooner than this; then another one so often.
 const MISSING: u32 = 3;
 const SLATE_EVERY: Duration = Duration::from_millis(250);
+/// What is left of that for the next picture at least, however long the last one took to draw.
+const LEAST: Duration = Duration::from_millis(150);
 
 /// What the loop works with.
 pub struct Show {
@@ -57,19 +59,20 @@ impl Show {
         let mut before: Option<Duration> = None;
         let mut last: Option<Duration> = None;
         let wished = Duration::from_secs_f64(1.0 / self.config.camera.fps);
-        // a camera may take a while to its first picture
-        let mut patience = FIRST;
+        // how long after `from` a picture is late; a camera may take a while to its first
+        let (mut from, mut patience) = (now(), FIRST);
         while !stop.load(Ordering::Relaxed) && self.frames.is_none_or(|n| self.tally.shown.get() < n) {
             let waiting = Instant::now();
             let ended = reader.is_abandoned();
-            let Some(captured) = reader.next(if ended { Duration::ZERO } else { patience }) else {
+            let left = (from + patience).saturating_sub(now()).max(LEAST);
+            let Some(captured) = reader.next(if ended { Duration::ZERO } else { left }) else {
                 if ended {
                     break;
                 }
                 // presses wait: what they do is told with the frame that shows it
+                (from, patience, before) = (now(), SLATE_EVERY, None);
                 self.renew();
                 self.starve()?;
-                (patience, before) = (SLATE_EVERY, None);
                 continue;
             };
             let waited = waiting.elapsed();
@@ -98,7 +101,7 @@ impl Show {
             let since =
                 last.map(|last| frame.captured_at.saturating_sub(last)).filter(|since| *since < FIRST);
             patience = (since.unwrap_or(wished).max(wished) * MISSING).max(SLATE_EVERY);
-            last = Some(frame.captured_at);
+            (from, last) = (frame.captured_at, Some(frame.captured_at));
             drop(captured);
             self.tally.replaced.set(reader.replaced());
         }

@@ -1,0 +1,238 @@
+"""Plugs that are pulled: the screen's cable, the screen's mastership, the button board's USB plug.
+
+screen   The connector goes off and on; then another program has the screen for a while. A camera that stands still
+         shows the same picture every time, so after each return the emulated screen is compared with the picture that
+         this machine draws, byte for byte. How soon it is back is the kernel's trace's to say, on the board's clock.
+buttons  An emulated USB serial adapter with the button board's simulator behind it is plugged in and pulled out. Every
+         press made while it is plugged is acted on once; nothing else is acted on. In real time: the simulator's.
+"""
+
+import json
+import time
+from board import PLAIN_KERNEL, STEADY_CLOCK, Board, Buttons, check, note, read_png, read_ppm, run
+from recover import Witness, spread
+
+BACK_MS = 500
+# how often: in a full run, and by default
+CABLE, MASTER, USB = (50, 3), (50, 3), (100, 5)
+
+STILL = """
+threads = 1
+[camera]
+source = "synthetic"
+width = 640
+height = 480
+fps = 5
+[camera.synthetic]
+noise = 0
+pace = 0
+samples = 1
+{frames}
+[style]
+name = "plain"
+[display]
+sink = "kms"
+scale = "one-to-one"
+"""
+
+SCREEN = r"""
+trace=/sys/kernel/tracing
+mount -t tracefs trace $trace
+echo mono > $trace/trace_clock
+echo 8192 > $trace/buffer_size_kb
+echo 'r:shown drm:drm_mode_page_flip_ioctl refused=$retval:s32' > $trace/kprobe_events
+echo 1 > $trace/events/kprobes/enable
+mark() { echo "mark $*" > $trace/trace_marker; }
+cable() { echo $1 > /sys/class/drm/card0-Virtual-1/status; }
+facts() { echo BOARD: $1 $(ls /proc/$pid/fd | wc -l) $(awk '/VmRSS/{print $2}' /proc/$pid/status); }
+# waits until the other machine has looked at the screen
+looked() { echo BOARD: look-$1; until [ -e /host/done-$1 ]; do sleep .2; done; }
+
+vernissage run --wait --config /host/plugs.toml --status /tmp/status.json > /tmp/plugs.out 2> /host/plugs.err &
+pid=$!
+sleep 3
+looked first
+for n in $(seq {cable}); do
+  cable off; sleep 1.7
+  mark returns; cable detect; sleep 1
+  looked cable-$n
+  # the first return makes the buffers that all others use
+  [ $n != 1 ] || facts before
+done
+for n in $(seq {master}); do
+  cable off; sleep 1.7
+  hold /dev/dri/card0 2500 > /tmp/held & other=$!
+  sleep .2; cable detect
+  for i in $(seq 50); do grep -q holding /tmp/held && break; sleep .1; done
+  sleep .7
+  looked other-$n
+  wait $other || echo BOARD: refused
+  mark returns; sleep 1
+  looked master-$n
+done
+facts after
+cp /tmp/status.json /host/plugs-status.json
+cat $trace/trace > /host/plugs.trace
+kill -TERM $pid
+wait $pid
+echo BOARD: ran $?
+"""
+
+BUTTONS = """
+threads = 1
+[camera]
+source = "synthetic"
+width = 160
+height = 120
+fps = 10
+[style]
+name = "plain"
+[display]
+sink = "null"
+[serial]
+port = "/dev/ttyUSB0"
+[[serial.button]]
+number = 1
+short = "freeze"
+"""
+
+USB_SCRIPT = r"""
+for module in $(cat /mods/usb); do insmod /mods/$module; done
+facts() { echo BOARD: $1 $(ls /proc/$pid/fd | wc -l) $(awk '/VmRSS/{print $2}' /proc/$pid/status); }
+vernissage run --config /host/plugs.toml > /tmp/plugs.out 2> /host/plugs.err &
+pid=$!
+echo BOARD: run
+until [ -e /host/done-warm ]; do sleep .2; done
+facts before
+until [ -e /host/done-usb ]; do sleep .2; done
+facts after
+kill -TERM $pid
+wait $pid
+echo BOARD: ran $?
+"""
+
+
+def counts(full):
+    return [each[0 if full else 1] for each in (CABLE, MASTER, USB)]
+
+
+def clear(host, *names):
+    for old in [*host.glob("done-*"), *(host / name for name in names)]:
+        old.unlink(missing_ok=True)
+
+
+def flat(board):
+    """Open files and memory at the end as at the beginning."""
+    before, after = (list(map(int, (board.said(word) or "0 0").split())) for word in ("before", "after"))
+    check(0 < after[0] <= before[0] and after[1] <= before[1] + 1024,
+          f"plugs: {after[0]} open files, before {before[0]}; {after[1]} KiB resident, before {before[1]}")
+
+
+def screen(host_binary, folder, full):
+    """Connector and mastership."""
+    cable, master, _ = counts(full)
+    host = folder / "host"
+    clear(host, "plugs.err", "plugs.trace", "plugs-status.json")
+    (folder / "plugs.toml").write_text(STILL.replace("{frames}", "frames = 1"))
+    reference = folder / "plugs"
+    if run([host_binary, "render", "--config", folder / "plugs.toml", "--out", reference], 120) is None:
+        return check(False, "screen: the picture drawn here")
+    expected = read_png(next(reference.glob("*.png")))
+    (host / "plugs.toml").write_text(STILL.replace("{frames}", ""))
+    (host / "run.sh").write_text(SCREEN.replace("{cable}", str(cable)).replace("{master}", str(master)))
+    (host / "camera").write_text("node_types=0x1 num_inputs=1 input_types=0x0\n")
+    board = Board(folder, "screen", [*PLAIN_KERNEL, *STEADY_CLOCK])
+    path, true, others = folder / "plugs.ppm", [], []
+
+    def looks(name):
+        if not board.wait_for(f"look-{name}", 300):
+            return False
+        board.command(f"screendump {path}", 60)
+        shown = read_ppm(path)
+        if name.startswith("other"):
+            others.append(shown is not None and shown[2] == b"\x40\x80\xc0" * (shown[0] * shown[1]))
+        else:
+            true.append(shown == expected)
+        (host / f"done-{name}").touch()
+        return True
+
+    try:
+        names = ["first"] + [f"cable-{n + 1}" for n in range(cable)]
+        names += [f"{who}-{n + 1}" for n in range(master) for who in ("other", "master")]
+        all(looks(name) for name in names)
+        board.wait_for("ran", 120)
+    except OSError as error:
+        check(False, f"screen: monitor: {error}")
+    finally:
+        board.close(30)
+        (host / "camera").unlink()
+    if not check(board.said("ran") == "0", f"screen: the program goes on and ends well (exit {board.said('ran')})"):
+        return tell(host)
+    returns = 1 + cable + master
+    check(len(true) == returns and all(true), f"screen: {sum(true)} of {returns} times the picture, byte for byte")
+    check(len(others) == master and all(others) and board.said("refused") is None,
+          f"screen: {sum(others)} of {master} times another program's picture between")
+    witness = Witness((host / "plugs.trace").read_text())
+    back = [witness.after(i, "shown") - at for i, (at, what) in enumerate(witness.events) if what == "returns"]
+    said, _ = spread(back)
+    check(len(back) == cable + master and max(back) <= BACK_MS, f"screen: back within {BACK_MS} ms: {said}")
+    status = (host / "plugs-status.json").read_text()
+    faults = {fault["code"]: fault["count"] for fault in json.loads(status)["faults"]}
+    check(faults == {"D1": cable + master, "D2": master}, f"screen: faults counted {faults}")
+    return flat(board)
+
+
+def buttons(folder, full):
+    """The button board's USB plug."""
+    _, _, times = counts(full)
+    host = folder / "host"
+    clear(host, "plugs.err")
+    (host / "plugs.toml").write_text(BUTTONS)
+    (host / "run.sh").write_text(USB_SCRIPT)
+    simulator = Buttons(folder)
+    board = Board(folder, "usb", ["-device", "qemu-xhci", "-chardev", f"serial,id=buttons,path={simulator.link}"])
+    came, acted, waits = 0, 0, []
+    try:
+        if not check(board.wait_for("run", 120), "buttons: board boots"):
+            return None
+        for n in range(times):
+            before = simulator.heard(" OK")
+            plugged = time.monotonic()
+            board.command(f"device_add usb-serial,chardev=buttons,id=plug{n}", 60)
+            came += simulator.wait_for(" OK", before + 1, 20)
+            waits.append((time.monotonic() - plugged) * 1e3)
+            before = simulator.heard("ACT 1 freeze ok")
+            simulator.press()
+            acted += simulator.wait_for("ACT 1 freeze ok", before + 1, 10)
+            if n == 0:
+                (host / "done-warm").touch()
+                board.wait_for("before", 20)
+            board.command(f"device_del plug{n}", 60)
+            # nobody hears it, and nothing may come of it
+            simulator.press()
+            time.sleep(0.4)
+        (host / "done-usb").touch()
+        board.wait_for("ran", 60)
+    except OSError as error:
+        check(False, f"buttons: monitor: {error}")
+    finally:
+        board.close(30)
+        said = simulator.heard("ACT 1 ")
+        simulator.close()
+    if not check(board.said("ran") == "0", f"buttons: the program goes on and ends well (exit {board.said('ran')})"):
+        return tell(host)
+    check(came == times, f"buttons: plugged in {times} times, board and visor shake hands {came} times: {spread(waits)[0]}")
+    check(acted == times and said == times, f"buttons: {times} presses, {acted} acted on, {said} told of")
+    return flat(board)
+
+
+def tell(host):
+    log = host / "plugs.err"
+    for line in (log.read_text() if log.exists() else "").splitlines()[-10:]:
+        note(line)
+
+
+def plugs(host_binary, folder, full):
+    """Both."""
+    screen(host_binary, folder, full)
+    buttons(folder, full)
