@@ -170,8 +170,12 @@ impl Loaded {
     /// Reads a settings file and the models it names (paths in it are relative to it).
     pub fn read(path: &Path) -> Result<Loaded, ConfigError> {
         let read = |source| ConfigError::Read { path: path.into(), source };
-        let text = std::fs::read_to_string(path).map_err(read)?;
-        let mut config = Config::parse(&text, path)?;
+        Self::parse(&std::fs::read_to_string(path).map_err(read)?, path)
+    }
+
+    /// The same of a text that stands, or stood, in that file.
+    pub fn parse(text: &str, path: &Path) -> Result<Loaded, ConfigError> {
+        let mut config = Config::parse(text, path)?;
         let folder = path.parent().unwrap_or(Path::new("."));
         config.camera.resolve(folder);
         if let Some(snapshot) = &mut config.snapshot {
@@ -183,7 +187,7 @@ impl Loaded {
         for file in &mut config.scenes {
             *file = folder.join(&file);
         }
-        Loaded::build(config, &text, path)
+        Loaded::build(config, text, path)
     }
 
     /// The scenes to step through, by name: those that the file lists, else what it says itself.

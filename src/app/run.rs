@@ -2,11 +2,12 @@
 //! it; what leaves is opened again, what changes is built aside.
 //!
 //! `watch` is the camera's thread and `ladder` what it does when the camera falters; `show` is the frame loop, `screen`
-//! a display that comes back; `settings` reads the file again when it changes, `album` keeps snapshots; `tally` is what
-//! all of them count, `status` tells it.
+//! a display that comes back; `settings` reads the file again when it changes, `kept` has the last good ones; `album`
+//! keeps snapshots; `tally` is what all of them count, `status` tells it.
 
 pub(super) mod album;
 mod figures;
+mod kept;
 mod ladder;
 mod screen;
 pub(super) mod settings;
@@ -17,6 +18,7 @@ mod watch;
 
 pub(super) use status::mode;
 
+use super::config::Loaded;
 use super::fault::Fault;
 use super::presses::Presses;
 use super::service::Service;
@@ -29,6 +31,7 @@ use crate::pipeline::latest;
 use crate::pixels::Size;
 use album::Album;
 use anyhow::Context;
+use kept::Kept;
 use screen::Screen;
 use settings::{Optics, Settings, Shared};
 use show::Show;
@@ -84,13 +87,18 @@ impl Args {
 const CLOSE: Duration = Duration::from_secs(2);
 
 pub fn run(args: Args) -> anyhow::Result<()> {
-    let scenes = args.wishes.scenes()?;
+    let kept = Kept::open();
+    let (scenes, refused) = scenes(&args, kept.as_ref())?;
     let (_, first) = scenes.first().context("no scene")?;
     let config = Arc::new(first.config.clone());
     let tally = Arc::<Tally>::default();
     let names: Vec<String> = scenes.iter().map(|(name, _)| name.clone()).collect();
     let words = Arc::new(Words::new(args.wishes.config.clone().unwrap_or_default(), names.clone()));
 
+    if refused.is_some() {
+        tally.faults.raise(Fault::Settings);
+        words.set_refused(refused);
+    }
     let source = open_camera(&config.camera, args.wait, &tally)?;
     let live = source.as_ref().is_none_or(Source::is_live);
     let size = source.as_ref().map_or(Size::new(config.camera.width, config.camera.height), Source::size);
@@ -117,7 +125,7 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     for (signal, flag) in [(SIGTERM, &stop), (SIGINT, &stop), (SIGHUP, &again)] {
         signal_hook::flag::register(signal, flag.clone()).context(Failed("cannot watch for signals"))?;
     }
-    let shared = Shared { tally: tally.clone(), words: words.clone(), again };
+    let shared = Shared { tally: tally.clone(), words: words.clone(), again, kept };
     let settings = Settings::start(&args.wishes, scenes, optics.clone(), shared)
         .context(Failed("cannot start the thread that looks after the settings"))?;
     let reporter = Reporter::start(args.files(), tally.clone(), words.clone())
@@ -172,6 +180,19 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     drop(reporter);
     done?;
     if args.json { say(figures::json(&tally)) } else { say(figures::line(&tally)) }
+}
+
+/// The scenes that the settings mean, or those that were good last, and why.
+fn scenes(args: &Args, kept: Option<&Kept>) -> anyhow::Result<(Vec<(String, Loaded)>, Option<String>)> {
+    let error = match args.wishes.scenes() {
+        Ok(scenes) => return Ok((scenes, None)),
+        Err(error) => error,
+    };
+    let last =
+        kept.filter(|_| args.wait).and_then(Kept::text).and_then(|text| args.wishes.scenes_of(&text).ok());
+    let Some(scenes) = last else { return Err(error) };
+    log::warn!("{}: settings as they were last: {error:#}", Fault::Settings.code());
+    Ok((scenes, Some(format!("{error:#}"))))
 }
 
 /// The camera; `None`: it is not there, and is to be waited for.

@@ -51,16 +51,32 @@ fn marker(text: &str) -> Result<(Family, Option<u32>), String> {
 impl Wishes {
     /// The scenes to step through, by name: those that the file lists, else what is meant itself.
     pub fn scenes(&self) -> anyhow::Result<Vec<(String, Loaded)>> {
+        self.name(self.load()?)
+    }
+
+    /// The same with `text` in the place of what stands in the settings file.
+    pub fn scenes_of(&self, text: &str) -> anyhow::Result<Vec<(String, Loaded)>> {
+        self.name(self.add(match &self.config {
+            Some(path) => Loaded::parse(text, path)?,
+            None => return self.scenes(),
+        })?)
+    }
+
+    fn name(&self, loaded: Loaded) -> anyhow::Result<Vec<(String, Loaded)>> {
         let name = self.config.as_deref().or(self.model.as_deref().map(Path::new));
-        Ok(self.load()?.scenes(name.unwrap_or(Path::new("scene")))?)
+        Ok(loaded.scenes(name.unwrap_or(Path::new("scene")))?)
     }
 
     /// The settings and models that are meant.
     pub fn load(&self) -> anyhow::Result<Loaded> {
-        let mut loaded = match &self.config {
+        self.add(match &self.config {
             Some(path) => Loaded::read(path)?,
             None => Loaded { config: Config::default(), scene: Scene::default() },
-        };
+        })
+    }
+
+    /// What is said beside the file.
+    fn add(&self, mut loaded: Loaded) -> anyhow::Result<Loaded> {
         let config = &mut loaded.config;
         if let Some(file) = &self.model {
             let before = config.model.first().map(|model| model.marker.clone());

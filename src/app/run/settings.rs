@@ -3,6 +3,7 @@
 //!
 //! The frame loop asks for scenes and takes what is ready between two frames; it never waits and frees nothing large.
 
+use super::kept::Kept;
 use super::status::Words;
 use super::tally::Tally;
 use crate::app::config::{Config, Loaded};
@@ -89,6 +90,8 @@ pub struct Shared {
     pub words: Arc<Words>,
     /// Set by SIGHUP.
     pub again: Arc<AtomicBool>,
+    /// Where good settings are kept, if anywhere.
+    pub kept: Option<Kept>,
 }
 
 impl Settings {
@@ -190,6 +193,7 @@ impl Keeper {
             return;
         };
         alone.install(move || {
+            self.keep_text();
             while !self.stop.load(Ordering::Relaxed) {
                 if self.changed() {
                     self.read_again();
@@ -237,11 +241,24 @@ impl Keeper {
             log::warn!("settings: taken at the next start only: {}", later.join(", "));
         }
         words.set_restart(later);
+        self.keep_text();
         // the list of scenes is told at the start, and stays; what they hold may change
         if self.scenes.iter().map(|s| &s.0).eq(scenes.iter().map(|s| &s.0)) {
             self.scenes = scenes;
             log::info!("settings: taken as they are now");
             self.hand_over(Cause::File);
+        }
+    }
+
+    /// Keeps what stands in the settings file, if it can be used.
+    fn keep_text(&self) {
+        let (Some(kept), Some(path)) = (&self.shared.kept, &self.wishes.config) else { return };
+        let Ok(text) = std::fs::read_to_string(path) else { return };
+        // what cannot be used has been told
+        if Loaded::parse(&text, path).is_ok()
+            && let Err(error) = kept.keep(&text)
+        {
+            log::warn!("settings: cannot be kept for the next start: {error}");
         }
     }
 
