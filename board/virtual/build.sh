@@ -35,18 +35,20 @@ fi
 release=$(ls "$dir/kernel/lib/modules")
 /sbin/depmod -b "$dir/kernel" "$release"
 
-# the initramfs: busybox, the modules in the order they want to be loaded, our programs, /init
-for module in virtio_gpu virtio_pci virtio_console 9p 9pnet_virtio vivid; do
-  /sbin/modprobe -d "$dir/kernel" -S "$release" --show-depends "$module" | awk '/^insmod/{print $2}'
-done | awk '!seen[$0]++' > "$dir/modules"
-# and those of a USB port with a serial adapter, for the tests that want one
-for module in xhci_pci ftdi_sio; do
-  /sbin/modprobe -d "$dir/kernel" -S "$release" --show-depends "$module" | awk '/^insmod/{print $2}'
-done | awk '!seen[$0]++' > "$dir/modules.usb"
+# the initramfs: busybox, the modules in the order they want to be loaded, our programs, /init; the modules of a USB
+# port with a serial adapter, and of a disk, lie aside for the tests that want one
+dependencies() {
+  for module in "$@"; do
+    /sbin/modprobe -d "$dir/kernel" -S "$release" --show-depends "$module" | awk '/^insmod/{print $2}'
+  done | awk '!seen[$0]++'
+}
+dependencies virtio_gpu virtio_pci virtio_console 9p 9pnet_virtio vivid > "$dir/modules"
+dependencies xhci_pci ftdi_sio > "$dir/modules.usb"
+dependencies virtio_blk ext4 > "$dir/modules.disk"
 rm -f "$dir"/init/mods/*
-sort -u "$dir/modules" "$dir/modules.usb" | xargs cp -t "$dir/init/mods/"
+sort -u "$dir/modules" "$dir/modules.usb" "$dir/modules.disk" | xargs cp -t "$dir/init/mods/"
 awk -F/ '{print $NF}' "$dir/modules" | grep -v '^vivid.ko' > "$dir/init/mods/order"
-awk -F/ '{print $NF}' "$dir/modules.usb" > "$dir/init/mods/usb"
+for kind in usb disk; do awk -F/ '{print $NF}' "$dir/modules.$kind" > "$dir/init/mods/$kind"; done
 cp "$dir/busybox/bin/busybox" "$dir/init/bin/"
 cp "$dir/vernissage" "$dir/feed" "$dir/ctl" "$dir/hold" "$dir/init/bin/"
 cp "$here/init.sh" "$dir/init/init"

@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """The virtual-board test: kernel camera in, kernel display out, on an emulated ARM board.
 
-usage: test.py [--host BINARY] [--dir DIR] [--frames N] [--skip-build] [--only loop|clock|recover|plugs]
+usage: test.py [--host BINARY] [--dir DIR] [--frames N] [--skip-build] [--only loop|clock|recover|plugs|cuts]
        [--soak]
 
 1. loop   A clip with a moving marker, made by the program itself, is fed into the kernel's vivid driver.
@@ -14,6 +14,7 @@ usage: test.py [--host BINARY] [--dir DIR] [--frames N] [--skip-build] [--only l
 3. recover  The camera is disconnected, unbound and made to fail, in random order: recover.py. With --soak as often as
           a release wants it, else a twentieth. Checked besides: the first picture comes soon after the kernel's start.
 4. plugs  The screen's cable, another program on the screen, the button board's USB plug: plugs.py.
+5. cuts   The power goes while settings are written: cuts.py.
 
 Checked besides: the binary is at most 8 MB.
 
@@ -32,6 +33,7 @@ import time
 from pathlib import Path
 
 sys.dont_write_bytecode = True  # nothing is left beside the sources
+import cuts
 import plugs
 import recover
 from board import CLIP, HERE, ROOT, WIDTH, Board, check, make_clip, note, read_png, read_ppm, run, verdict
@@ -210,7 +212,7 @@ def main():
     arguments.add_argument("--frames", type=int, default=60)
     arguments.add_argument("--skip-build", action="store_true", help="use the board as it is in DIR")
     arguments.add_argument("--soak", action="store_true", help="every trouble as often as a release wants it")
-    arguments.add_argument("--only", choices=["loop", "clock", "recover", "plugs"])
+    arguments.add_argument("--only", choices=["loop", "clock", "recover", "plugs", "cuts"])
     chosen = arguments.parse_args()
     folder = chosen.dir.resolve()
     (folder / "host").mkdir(parents=True, exist_ok=True)
@@ -234,6 +236,8 @@ def main():
         recover.recover(folder, chosen.soak)
     if chosen.only in (None, "plugs"):
         plugs.plugs(host.resolve(), folder, chosen.soak)
+    if chosen.only in (None, "cuts"):
+        cuts.cuts(folder, chosen.soak)
     note(f"{time.monotonic() - began:.0f} s, logs and pictures in {folder}")
     return verdict("virtual board")
 
