@@ -24,6 +24,7 @@ impl Visor {
             .arg("--status")
             .arg(folder.0.join("status.json"))
             .args(more)
+            .env("STATE_DIRECTORY", &folder.0)
             .stdout(Stdio::piped())
             .spawn()
             .expect("the built binary runs");
@@ -167,6 +168,44 @@ fn settings_are_taken_between_two_frames_or_refused_with_their_line() {
         }
     }
     assert_eq!(kinds.len(), 3, "each style once, and nothing between two of them");
+}
+
+/// A settings file that was cut short when the power went, or lost: the visor starts with the last good one.
+#[test]
+fn a_settings_file_that_was_cut_short_is_stood_in_for() {
+    let folder = Folder::new("kept");
+    let text = |style: &str| still(style, "").replace("sink = \"png\"\npath = \"{}\"", "sink = \"null\"");
+    folder.write("visor.toml", &text("illustrative"));
+    let visor = Visor::start(&folder, &["--wait"]);
+    status(&folder, "started", |s| s["frames"]["shown"].as_u64() > Some(2));
+    folder.write("visor.toml", &text("sketch-like"));
+    status(&folder, "taken", |s| s["style"] == "sketch-like");
+    visor.signal("-TERM");
+    visor.ends();
+
+    for torn in [Some(&text("plain")[..90]), Some(""), None] {
+        match torn {
+            Some(torn) => folder.write("visor.toml", torn),
+            None => std::fs::remove_file(folder.0.join("visor.toml")).expect("it was there"),
+        };
+        std::fs::remove_file(folder.0.join("status.json")).expect("of the last run");
+        let visor = Visor::start(&folder, &["--wait"]);
+        let began = status(&folder, "started", |s| s["frames"]["shown"].as_u64() > Some(2));
+        assert_eq!(
+            (began["style"].as_str(), &began["state"]),
+            (Some("sketch-like"), &"degraded".into()),
+            "{torn:?}"
+        );
+        assert!(began["settings"]["refused"].is_string(), "{began:#}");
+        assert_eq!(began["faults"], serde_json::json!([{ "code": "S1", "now": true, "count": 1 }]));
+        folder.write("visor.toml", &text("illustrative"));
+        let taken = status(&folder, "right again", |s| s["style"] == "illustrative");
+        assert_eq!((&taken["state"], &taken["settings"]["refused"]), (&"run".into(), &Value::Null));
+        folder.write("visor.toml", &text("sketch-like"));
+        status(&folder, "as before", |s| s["style"] == "sketch-like");
+        visor.signal("-TERM");
+        visor.ends();
+    }
 }
 
 /// User and system time of a process, in seconds.

@@ -1,9 +1,9 @@
 """Power cuts while settings are written, on the emulated board with a disk.
 
-The settings file lies on an ext4 of the disk and is written in place again and again, in two halves with the first one
-on the disk already, as a hasty hand would; the visor takes each and keeps it. The power goes at random moments (the
-emulator is killed: what the kernel had not written is gone). Checked at every next start: pictures are shown, drawn
-with the settings before the cut or with those that were being written.
+The settings file lies on an ext4 of the disk and is written in place again and again, as a hasty hand would; the visor
+takes each and keeps it. The power goes at random moments (the emulator is killed: what the kernel had not written is
+gone, and leaves an empty file as often as not). Checked at every next start: pictures are shown, drawn with the settings
+before the cut or with those that were being written.
 """
 
 import json
@@ -46,9 +46,7 @@ while kill -0 $pid; do
   number=$((number + 1))
   text=/host/settings.$number
   echo BOARD: begins-$number
-  head -c 3000 $text > /disk/visor.toml; sync
-  sleep .15
-  tail -c +3001 $text >> /disk/visor.toml
+  : > /disk/visor.toml; sleep .$((RANDOM % 3)); cat $text > /disk/visor.toml
   kill -HUP $pid
   for i in $(seq 200); do grep -qs "^# number $number\$" /disk/state/settings.* && break; sleep .02; done
   echo BOARD: kept-$number
@@ -68,7 +66,7 @@ def cuts(folder, full):
     if run(["/sbin/mke2fs", "-q", "-t", "ext4", disk, "32M"], 60) is None:
         return check(False, "cuts: a disk")
     style = lambda number: STYLES[number % len(STYLES)]
-    padding = "\n".join(f"# {'x' * 90}" for _ in range(60))
+    padding = "\n".join(f"# {'x' * 90}" for _ in range(30))
     for number in range(1 + 40 * (times + 1)):
         text = VISOR.format(number=number, style=style(number), padding=padding)
         (host / f"settings.{number}").write_text(text)

@@ -182,9 +182,17 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     if args.json { say(figures::json(&tally)) } else { say(figures::line(&tally)) }
 }
 
-/// The scenes that the settings mean, or those that were good last, and why.
+/// The scenes that the settings mean, or those that were good last, and why. A file of no words is what file systems
+/// leave of one that was written when the power went.
 fn scenes(args: &Args, kept: Option<&Kept>) -> anyhow::Result<(Vec<(String, Loaded)>, Option<String>)> {
+    let emptied = |path: &PathBuf| {
+        std::fs::read(path)
+            .is_ok_and(|bytes| bytes.iter().all(|byte| byte.is_ascii_whitespace() || *byte == 0))
+    };
     let error = match args.wishes.scenes() {
+        _ if kept.is_some() && args.wait && args.wishes.config.as_ref().is_some_and(emptied) => {
+            anyhow::anyhow!("the settings file is empty")
+        }
         Ok(scenes) => return Ok((scenes, None)),
         Err(error) => error,
     };

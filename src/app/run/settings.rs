@@ -254,8 +254,9 @@ impl Keeper {
     fn keep_text(&self) {
         let (Some(kept), Some(path)) = (&self.shared.kept, &self.wishes.config) else { return };
         let Ok(text) = std::fs::read_to_string(path) else { return };
-        // what cannot be used has been told
-        if Loaded::parse(&text, path).is_ok()
+        // what cannot be used has been told; an empty file is none to start with again
+        if !text.trim().is_empty()
+            && Loaded::parse(&text, path).is_ok()
             && let Err(error) = kept.keep(&text)
         {
             log::warn!("settings: cannot be kept for the next start: {error}");
