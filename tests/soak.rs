@@ -6,7 +6,7 @@
 #[path = "common/counting.rs"]
 mod counting;
 
-use counting::ALLOCATIONS;
+use counting::own;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 use vernissage::display::{Composer, Filter, Layout as Place, Rotate, Scale, Sink};
@@ -63,17 +63,22 @@ fn two_million_frames() {
         let taken = AtomicU64::new(0);
         std::thread::scope(|scope| {
             let taken = &taken;
+            let warm = 2_000;
             let source = scope.spawn(move || {
+                let mut before = 0;
                 for sequence in 0..frames {
+                    if sequence == warm {
+                        before = own();
+                    }
                     while taken.load(Ordering::Acquire) < sequence {
                         std::thread::park();
                     }
                     paint(sequence, &mut writer.buffer());
                     writer.publish();
                 }
+                own() - before
             });
             let (mut next, mut before, mut memory) = (0, 0, 0);
-            let warm = 2_000;
             while next < frames {
                 let frame = reader.next(Duration::from_secs(60)).expect("the source runs");
                 assert_eq!(frame.sequence, next, "lost or doubled");
@@ -97,12 +102,14 @@ fn two_million_frames() {
                 next += 1;
                 if next == warm {
                     memory = resident();
-                    before = ALLOCATIONS.load(Ordering::Relaxed);
+                    before = own();
                 }
                 taken.store(next, Ordering::Release);
                 source.thread().unpark();
             }
-            let allocated = ALLOCATIONS.load(Ordering::Relaxed) - before;
+            // all work is done on these two threads
+            let of_loop = own() - before;
+            let allocated = of_loop + source.join().expect("the source ends");
             let grown = resident().saturating_sub(memory);
             eprintln!("{frames} frames: {allocated} allocations after the first {warm}, memory grew by {grown} bytes");
             assert_eq!(allocated, 0);

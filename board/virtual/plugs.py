@@ -48,7 +48,7 @@ facts() { echo BOARD: $1 $(ls /proc/$pid/fd | wc -l) $(awk '/VmRSS/{print $2}' /
 # waits until the other machine has looked at the screen
 looked() { echo BOARD: look-$1; until [ -e /host/done-$1 ]; do sleep .2; done; }
 
-vernissage run --wait --config /host/plugs.toml --status /tmp/status.json > /tmp/plugs.out 2> /host/plugs.err &
+vernissage run --wait --config /host/plugs.toml --status /tmp/status.json > /tmp/plugs.out 2> /tmp/plugs.err &
 pid=$!
 sleep 3
 looked first
@@ -75,7 +75,9 @@ cp /tmp/status.json /host/plugs-status.json
 cat $trace/trace > /host/plugs.trace
 kill -TERM $pid
 wait $pid
-echo BOARD: ran $?
+ended=$?
+cp /tmp/plugs.err /host/
+echo BOARD: ran $ended
 """
 
 BUTTONS = """
@@ -99,7 +101,7 @@ short = "freeze"
 USB_SCRIPT = r"""
 for module in $(cat /mods/usb); do insmod /mods/$module; done
 facts() { echo BOARD: $1 $(ls /proc/$pid/fd | wc -l) $(awk '/VmRSS/{print $2}' /proc/$pid/status); }
-vernissage run --config /host/plugs.toml > /tmp/plugs.out 2> /host/plugs.err &
+vernissage run --config /host/plugs.toml > /tmp/plugs.out 2> /tmp/plugs.err &
 pid=$!
 echo BOARD: run
 until [ -e /host/done-warm ]; do sleep .2; done
@@ -108,7 +110,9 @@ until [ -e /host/done-usb ]; do sleep .2; done
 facts after
 kill -TERM $pid
 wait $pid
-echo BOARD: ran $?
+ended=$?
+cp /tmp/plugs.err /host/
+echo BOARD: ran $ended
 """
 
 

@@ -77,7 +77,8 @@ unbind() {
 }
 
 echo BOARD: run
-vernissage run --wait --config /host/recover.toml --status /tmp/status.json --json > /host/recover.json 2> /host/recover.err &
+# its log stays in memory: a busy host would be seen as a slow disk
+vernissage run --wait --config /host/recover.toml --status /tmp/status.json --json > /tmp/recover.json 2> /tmp/recover.err &
 pid=$!
 sleep 3
 facts before
@@ -88,6 +89,7 @@ cp /tmp/status.json /host/recover-status.json
 kill -TERM $pid
 wait $pid
 ended=$?
+cp /tmp/recover.json /tmp/recover.err /host/
 cat $trace/trace > /host/recover.trace
 echo BOARD: ran $ended
 """

@@ -63,7 +63,8 @@ pub struct Args {
     /// Print the closing figures as one JSON object
     #[arg(long)]
     json: bool,
-    /// Begin without a camera or a screen that is not there yet, and wait for it
+    /// Begin without a camera or a screen that is not there yet, and wait for it; with the last good settings where the
+    /// file is cut short and the service manager gives a state directory
     #[arg(long)]
     wait: bool,
     /// Write counters, faults and latency there every second, as JSON; default: status.json in the service manager's

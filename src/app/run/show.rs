@@ -24,8 +24,10 @@ use std::time::{Duration, Instant};
 
 /// How long the first picture may take; a longer pause is none between two pictures.
 const FIRST: Duration = Duration::from_secs(1);
-/// A slate is shown when no picture came for so many pictures' time, and no sooner than this; then another one so often.
+/// A slate is shown when no picture came for so many pictures' time, and no sooner than this after the last one was taken:
+/// what remains of 300 ms is for drawing it. Then another one so often.
 const MISSING: u32 = 3;
+const SLATE_AFTER: Duration = Duration::from_millis(220);
 const SLATE_EVERY: Duration = Duration::from_millis(250);
 /// What is left of that for the next picture at least, however long the last one took to draw.
 const LEAST: Duration = Duration::from_millis(150);
@@ -100,7 +102,7 @@ impl Show {
             }
             let since =
                 last.map(|last| frame.captured_at.saturating_sub(last)).filter(|since| *since < FIRST);
-            patience = (since.unwrap_or(wished).max(wished) * MISSING).max(SLATE_EVERY);
+            patience = (since.unwrap_or(wished).max(wished) * MISSING).max(SLATE_AFTER);
             (from, last) = (frame.captured_at, Some(frame.captured_at));
             drop(captured);
             self.tally.replaced.set(reader.replaced());
