@@ -183,9 +183,12 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     if args.json { say(figures::json(&tally)) } else { say(figures::line(&tally)) }
 }
 
+/// Scenes by name.
+type Scenes = Vec<(String, Loaded)>;
+
 /// The scenes that the settings mean, or those that were good last, and why. A file of no words is what file systems
 /// leave of one that was written when the power went.
-fn scenes(args: &Args, kept: Option<&Kept>) -> anyhow::Result<(Vec<(String, Loaded)>, Option<String>)> {
+fn scenes(args: &Args, kept: Option<&Kept>) -> anyhow::Result<(Scenes, Option<String>)> {
     let emptied = |path: &PathBuf| {
         std::fs::read(path)
             .is_ok_and(|bytes| bytes.iter().all(|byte| byte.is_ascii_whitespace() || *byte == 0))
