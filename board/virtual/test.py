@@ -14,7 +14,7 @@ usage: test.py [--host BINARY] [--dir DIR] [--frames N] [--skip-build] [--only l
 3. recover  The camera is disconnected, unbound and made to fail, in random order: recover.py. With --soak as often as
           a release wants it, else a twentieth. Checked besides: the first picture comes soon after the kernel's start.
 4. plugs  The screen's cable, another program on the screen, the button board's USB plug: plugs.py.
-5. cuts   The power goes while settings are written: cuts.py.
+5. cuts   Only when asked for (`--only cuts`): the power goes while settings are written: cuts.py.
 
 Checked besides: the binary is at most 8 MB.
 
@@ -236,7 +236,7 @@ def main():
         recover.recover(folder, chosen.soak)
     if chosen.only in (None, "plugs"):
         plugs.plugs(host.resolve(), folder, chosen.soak)
-    if chosen.only in (None, "cuts"):
+    if chosen.only == "cuts":
         cuts.cuts(folder, chosen.soak)
     note(f"{time.monotonic() - began:.0f} s, logs and pictures in {folder}")
     return verdict("virtual board")
