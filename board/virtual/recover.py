@@ -213,7 +213,8 @@ def judge_costs(board):
     check(after[0] == before[0], f"recover: {after[0]:.0f} open files, before {before[0]:.0f}")
     check(after[1] <= before[1] + 1024, f"recover: {after[1]:.0f} KiB resident, before {before[1]:.0f}")
     halves = [facts["lost"][:len(facts["lost"]) // 2], facts["lost"][len(facts["lost"]) // 2:]]
-    if halves[0]:
+    # of a few absences the first ones warm up
+    if len(facts["lost"]) >= 20:
         early, late = (max(each[1] for each in half) for half in halves)
         check(late <= early + 256, f"recover: {late:.0f} KiB resident in the second half of the absences, {early:.0f} in the first")
     ticks = sum(b[2] - a[2] for a, b in zip(facts["lost"], facts["waits"]))
