@@ -21,7 +21,6 @@
 
 mod bins;
 mod clip;
-mod edges;
 mod field;
 mod kept;
 mod particles;
@@ -34,7 +33,9 @@ mod setup;
 mod shade;
 mod shape;
 mod silhouette;
+mod slopes;
 mod sort;
+mod spans;
 mod stages;
 mod tile;
 mod vertex;

@@ -9,11 +9,12 @@
 
 use super::View;
 use super::bins::Chunk;
-use super::edges::{Area, Edges, Slope, Slopes, Weights};
 use super::record::{Extent, Record};
 use super::run::{Line, Pixels, Run};
 use super::setup::{ANY, BOTH, PLAIN, STRIP, Setup, Triangle};
+use super::slopes::{Slope, Slopes, Weights};
 use super::sort::LITTLE;
+use super::spans::{self, Area, Row};
 use super::tile::{Channels, MOST, STRIDE, Slot};
 use super::vertex::{Vertex, narrow};
 use crate::pixels::TILE;
@@ -61,8 +62,9 @@ fn draw_records<const MODE: u8>(
     let (nobody, nowhere) = (Chunk::default(), Vertex::default());
     let blank = Triangle { record: &Record::NONE, chunk: &nobody, places: [&nowhere; 3] };
     let (mut four, mut count) = ([blank; 4], 0);
+    let mut rows = [Row::default(); TILE];
     let mut draw = |four: &[Triangle<'_>; 4], count| {
-        dispatch!(level, simd => draw_four::<_, MODE>(simd, &pen, four, count, pixels));
+        dispatch!(level, simd => draw_four::<_, MODE>(simd, &pen, four, count, &mut rows, pixels));
     };
     for chunk in chunks {
         if !chunk.holds(tile) {
@@ -104,19 +106,24 @@ fn draw_four<S: Simd, const MODE: u8>(
     tile: &Tile<'_>,
     four: &[Triangle<'_>; 4],
     count: usize,
+    rows: &mut [Row; TILE],
     pixels: &mut Pixels<'_>,
 ) {
     let [p, q, r, s] = four;
+    if p.record.extent != Extent::Small {
+        return draw_large::<S, MODE>(simd, tile, p, rows, pixels);
+    }
     let areas = [whole_area(p.record), whole_area(q.record), whole_area(r.record), whole_area(s.record)];
-    let setup = Setup::new::<S, MODE>(simd, four, &areas);
+    let known = |triangle: &Triangle<'_>| triangle.record.cover != 0;
+    let spans = !(known(p) && known(q) && known(r) && known(s));
+    let setup = Setup::new::<S, MODE>(simd, four, &areas, spans, rows);
     for (k, (triangle, area)) in four.iter().zip(&areas).enumerate().take(count) {
-        if triangle.record.extent != Extent::Small || setup.steep >> k & 1 == 1 {
-            draw_large::<S, MODE>(simd, tile, triangle, pixels);
-        } else if triangle.record.cover != 0 && setup.slivers >> k & 1 == 0 {
-            draw_little::<S, MODE>(simd, tile, triangle, &setup, k, area, pixels);
+        if setup.steep >> k & 1 == 1 {
+            draw_large::<S, MODE>(simd, tile, triangle, &mut [Row::default(); TILE], pixels);
+        } else if triangle.record.cover != 0 {
+            draw_little::<S, MODE>(simd, tile, triangle, &setup, k, area, rows, pixels);
         } else {
-            let edges = Edges::small(simd, area, triangle.spots(tile.view));
-            draw_area::<S, MODE>(simd, tile, triangle, &setup, k, area, &edges, None, pixels);
+            draw_rows::<S, MODE>(simd, tile, triangle, &setup, k, area, rows, pixels);
         }
     }
 }
@@ -127,6 +134,7 @@ fn draw_large<S: Simd, const MODE: u8>(
     simd: S,
     tile: &Tile<'_>,
     triangle: &Triangle<'_>,
+    rows: &mut [Row; TILE],
     pixels: &mut Pixels<'_>,
 ) {
     let ([x0, y0, x1, y1], [left, top, right, bottom]) = (triangle.record.bounds.map(i32::from), tile.bounds);
@@ -135,17 +143,15 @@ fn draw_large<S: Simd, const MODE: u8>(
         return;
     }
     let mut draw = |area: &Area| {
-        let Some(exact) = Edges::new(area, triangle.spots(tile.view)) else { return true };
-        let (edges, wide) = match exact.narrow(area) {
-            Some(edges) => (edges, None),
-            None => (Edges::default(), Some(&exact)),
-        };
+        if !spans::fill_one(area, triangle.spots(tile.view), rows) {
+            return true;
+        }
         simd.vectorize(
             #[inline(always)]
             || {
-                let setup = Setup::new::<S, MODE>(simd, &[*triangle; 4], &[*area; 4]);
+                let setup = Setup::new::<S, MODE>(simd, &[*triangle; 4], &[*area; 4], false, rows);
                 if setup.steep == 0 {
-                    draw_area::<S, MODE>(simd, tile, triangle, &setup, 0, area, &edges, wide, pixels);
+                    draw_rows::<S, MODE>(simd, tile, triangle, &setup, 0, area, rows, pixels);
                 }
                 setup.steep == 0
             },
@@ -238,6 +244,7 @@ const COVER: [i32; STRIDE - TILE] = [1, 2, 4, 8, 1 << 30, 1 << 30, 1 << 30, 1 <<
 
 /// Draws a triangle whose covered pixels are known.
 #[inline(always)]
+#[allow(clippy::too_many_arguments)]
 fn draw_little<S: Simd, const MODE: u8>(
     simd: S,
     tile: &Tile<'_>,
@@ -245,99 +252,75 @@ fn draw_little<S: Simd, const MODE: u8>(
     setup: &Setup,
     k: usize,
     area: &Area,
+    rows: &[Row; TILE],
     pixels: &mut Pixels<'_>,
 ) {
     let mut cover = i32::from(triangle.record.cover);
     let bits = S::i32s::from_slice(simd, &COVER[..S::i32s::LEN]);
     let xs: S::f32s = S::i32s::from_slice(simd, &LANES[..S::i32s::LEN]).to_float();
-    let right = S::f32s::simd_from(simd, setup.w_right[k % 4]);
+    let across = xs * S::f32s::simd_from(simd, setup.w_right[k % 4]);
+    let sliver = setup.slivers >> k & 1 == 1;
     let ink = Ink::new::<MODE>(simd, tile, triangle, setup, k);
     let mut at = (area.top - tile.bounds[1]) as usize * STRIDE + (area.first - tile.bounds[0]) as usize;
-    let mut y = 0;
-    while cover != 0 {
+    for (y, row) in rows.iter().enumerate() {
         let inside = (S::i32s::simd_from(simd, cover) & bits).simd_eq(bits);
-        let here = S::f32s::simd_from(simd, setup.w_rows[y % 4][k % 4]) + xs * right;
+        let mut here = S::f32s::simd_from(simd, row.w[k % 4]) + across;
+        if sliver {
+            here = triangle.kept_near(simd, here);
+        }
         let run = Run { at, inside, here, xs, y: y as i32 };
-        let light = setup.light_rows[y % 4][k % 4];
-        ink.draw::<MODE>(simd, &run, light, triangle.record, tile.view.channels, pixels);
-        (cover, at, y) = (cover >> LITTLE, at + STRIDE, y + 1);
+        ink.draw::<MODE>(simd, &run, row.light[k % 4], triangle.record, tile.view.channels, pixels);
+        (cover, at) = (cover >> LITTLE, at + STRIDE);
+        if cover == 0 {
+            break;
+        }
     }
 }
 
-/// Draws a triangle's pixels in the area. `wide` stands for `edges` where they do not fit.
+/// Draws what rows know of a triangle over its area.
 #[inline(always)]
 #[allow(clippy::too_many_arguments)]
-fn draw_area<S: Simd, const MODE: u8>(
+fn draw_rows<S: Simd, const MODE: u8>(
     simd: S,
     tile: &Tile<'_>,
     triangle: &Triangle<'_>,
     setup: &Setup,
     k: usize,
     area: &Area,
-    edges: &Edges<i32>,
-    wide: Option<&Edges<i64>>,
+    rows: &[Row; TILE],
     pixels: &mut Pixels<'_>,
 ) {
-    let splat = |v: f32| S::f32s::simd_from(simd, v);
-    let whole = |v: i32| S::i32s::simd_from(simd, v);
     let length = S::f32s::LEN as i32;
-    let (r0, r1, r2) = (whole(edges.right[0]), whole(edges.right[1]), whole(edges.right[2]));
-    let (d0, d1, d2) = (whole(edges.down[0]), whole(edges.down[1]), whole(edges.down[2]));
     let lanes = S::i32s::from_slice(simd, &LANES[..S::i32s::LEN]);
-    let mut e0 = whole(edges.start[0]) + lanes * r0;
-    let mut e1 = whole(edges.start[1]) + lanes * r1;
-    let mut e2 = whole(edges.start[2]) + lanes * r2;
-    let width = area.last - area.first;
-    let mut y = area.top;
-
-    let (w, light) = (setup.w.one(k), setup.light.one(k));
+    let first_xs: S::f32s = lanes.to_float();
+    let w_right = S::f32s::simd_from(simd, setup.w_right[k % 4]);
     let sliver = setup.slivers >> k & 1 == 1;
     let ink = Ink::new::<MODE>(simd, tile, triangle, setup, k);
-    let first_xs: S::f32s = lanes.to_float();
-    let w_right = splat(setup.w_right[k % 4]);
-    // where the left edges only move to the right, what is left of the last row's first pixel stays outside
-    let leftmost = (0..3).all(|k| edges.right[k] <= 0 || edges.down[k] <= 0);
-    let mut start = (0, first_xs);
-    let mut at = (y - tile.bounds[1]) as usize * STRIDE + (area.first - tile.bounds[0]) as usize;
-    loop {
-        // from the top each time: where rows begin to be drawn differs with the length of vectors
-        let dy = f64::from(y - area.top);
-        let w_start = splat(w.at(dy));
-        let (mut x, mut xs) = start;
-        let (mut f0, mut f1, mut f2) = (e0, e1, e2);
-        let mut entered = false;
-        loop {
-            let inside = match wide {
-                None => (f0 | f1 | f2).simd_ge(whole(0)),
-                Some(wide) => S::mask32s::from_bitmask(simd, wide.inside(x, y - area.top, S::f32s::LEN)),
-            };
-            if inside.any_true() {
-                if leftmost && !entered {
-                    start = (x, xs);
-                    (e0, e1, e2) = (f0, f1, f2);
-                }
-                entered = true;
-                let mut here = w_start + xs * w_right;
+    let mut begin = (area.top - tile.bounds[1]) as usize * STRIDE + (area.first - tile.bounds[0]) as usize;
+    let height = (area.bottom - area.top) as usize + 1;
+    for (y, row) in rows.iter().take(height).enumerate() {
+        let mut left = row.count[k % 4];
+        if left > 0 {
+            let first = row.first[k % 4];
+            let mut at = begin + first as usize;
+            let mut xs = first_xs + S::f32s::simd_from(simd, first as f32);
+            let w = S::f32s::simd_from(simd, row.w[k % 4]);
+            loop {
+                let inside = S::i32s::simd_from(simd, left).simd_gt(lanes);
+                let mut here = w + xs * w_right;
                 if sliver {
                     here = triangle.kept_near(simd, here);
                 }
-                let run = Run { at: at + x as usize, inside, here, xs, y: y - area.top };
-                ink.draw::<MODE>(simd, &run, light.at(dy), triangle.record, tile.view.channels, pixels);
-            } else if entered {
-                break;
+                let run = Run { at, inside, here, xs, y: y as i32 };
+                ink.draw::<MODE>(simd, &run, row.light[k % 4], triangle.record, tile.view.channels, pixels);
+                left -= length;
+                if left <= 0 {
+                    break;
+                }
+                at += length as usize;
+                xs += S::f32s::simd_from(simd, length as f32);
             }
-            x += length;
-            if x > width {
-                break;
-            }
-            xs += splat(length as f32);
-            (f0, f1, f2) = (f0 + r0 * length, f1 + r1 * length, f2 + r2 * length);
         }
-        if y == area.bottom {
-            return;
-        }
-        y += 1;
-        at += STRIDE;
-        (e0, e1, e2) = (e0 + d0, e1 + d1, e2 + d2);
+        begin += STRIDE;
     }
 }

@@ -1,6 +1,6 @@
 //! A run of pixels in a row of a tile: the depth test, and what is kept of the nearest and second-nearest surface.
 
-use super::edges::{Slope, Slopes};
+use super::slopes::{Slope, Slopes};
 use super::tile::{AREA, Channels, Slot};
 use fearless_simd::{Simd, prelude::*};
 

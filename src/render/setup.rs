@@ -3,12 +3,13 @@
 
 use super::View;
 use super::bins::Chunk;
-use super::edges::{Area, Slope, Slopes, SlopesApart, Weights};
 use super::record::{Extent, Record};
-use super::sort::LITTLE;
+use super::slopes::{Slope, Slopes, SlopesApart, Weights};
+use super::spans::{Area, Corners, Row};
 use super::tile::MOST;
 use super::vertex::{Spot, Vertex, Vertices, narrow, widen};
-use fearless_simd::{Simd, SimdFrom, f64x4, prelude::*};
+use crate::pixels::TILE;
+use fearless_simd::{Simd, SimdFrom, f64x4, i32x4, prelude::*};
 use glam::Vec3;
 
 /// Width of the strips of steep triangles, px.
@@ -128,29 +129,33 @@ impl<'a> Triangle<'a> {
 /// Four triangles, each over its area.
 pub(super) struct Setup {
     pub weights: [SlopesApart; 2],
-    pub w: SlopesApart,
-    pub light: SlopesApart,
-    /// Their steps to the right, rounded.
+    /// Steps of 1/z and light to the right, rounded.
     pub w_right: [f32; 4],
     pub light_right: [f32; 4],
-    /// 1/z and light at the first pixel of the first rows.
-    pub w_rows: [[f32; 4]; LITTLE as usize],
-    pub light_rows: [[f32; 4]; LITTLE as usize],
     /// A bit each: too steep for their width, slivers.
     pub steep: u64,
     pub slivers: u64,
 }
 
 impl Setup {
+    /// Sets up four triangles, and fills their rows: 1/z and light, and what is covered where `spans` are wanted; of small
+    /// triangles only.
     #[inline(always)]
-    pub fn new<S: Simd, const MODE: u8>(simd: S, four: &[Triangle<'_>; 4], areas: &[Area; 4]) -> Self {
+    pub fn new<S: Simd, const MODE: u8>(
+        simd: S,
+        four: &[Triangle<'_>; 4],
+        areas: &[Area; 4],
+        spans: bool,
+        rows: &mut [Row; TILE],
+    ) -> Self {
         let of = |v: f64| f64x4::splat(simd, v);
         let (a, b, c) = (corners(simd, four, 0), corners(simd, four, 1), corners(simd, four, 2));
         let [p, q, r, s] = areas;
         let left = f64x4::simd_from(simd, [p.first, q.first, r.first, s.first].map(f64::from));
         let last = f64x4::simd_from(simd, [p.last, q.last, r.last, s.last].map(f64::from));
         let top = f64x4::simd_from(simd, [p.top, q.top, r.top, s.top].map(f64::from));
-        let weights = Weights::new(simd, [left, top], [a[0], b[0], c[0]], [a[1], b[1], c[1]]);
+        let (x, y) = ([a[0], b[0], c[0]], [a[1], b[1], c[1]]);
+        let weights = Weights::new(simd, [left, top], x, y);
         let w = weights.slopes([a[2], b[2], c[2]]);
         let mut light = Slopes::zero(simd);
         if MODE != BOTH {
@@ -163,12 +168,21 @@ impl Setup {
             light.right = flat.select(of(0.0), light.right);
             light.down = flat.select(of(0.0), light.down);
         }
-        let (mut w_rows, mut light_rows) = ([[0.0; 4]; LITTLE as usize], [[0.0; 4]; LITTLE as usize]);
-        for (y, (w_row, light_row)) in w_rows.iter_mut().zip(&mut light_rows).enumerate() {
-            w.at(simd, y as f64).store_slice(w_row);
+        let heights = [p.bottom - p.top, q.bottom - q.top, r.bottom - r.top, s.bottom - s.top];
+        let most = heights[0].max(heights[1]).max(heights[2]).max(heights[3]);
+        let rows = &mut rows[..(most as usize).min(TILE - 1) + 1];
+        let mut y = 0.0;
+        for row in rows.iter_mut() {
+            w.at(simd, y).store_slice(&mut row.w);
             if MODE != BOTH {
-                light.at(simd, y as f64).store_slice(light_row);
+                light.at(simd, y).store_slice(&mut row.light);
             }
+            y += 1.0;
+        }
+        if spans {
+            let columns = [p.last - p.first, q.last - q.first, r.last - r.first, s.last - s.first];
+            let columns = i32x4::simd_from(simd, columns) + i32x4::splat(simd, 1);
+            Corners::new(simd, [left, top], x, [a[1], b[1], c[1]]).fill(simd, columns, rows);
         }
         let (mut w_right, mut light_right) = ([0.0; 4], [0.0; 4]);
         narrow(simd, w.right).store_slice(&mut w_right);
@@ -180,12 +194,8 @@ impl Setup {
         let steep = steep & width.simd_ge(of(f64::from(STRIP)));
         Self {
             weights: [weights.0[0].apart(), weights.0[1].apart()],
-            w: w.apart(),
-            light: light.apart(),
             w_right,
             light_right,
-            w_rows,
-            light_rows,
             steep: steep.to_bitmask(),
             slivers: (across + along).simd_gt(of(SLIVER)).to_bitmask(),
         }
