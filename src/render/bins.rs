@@ -6,7 +6,7 @@
 //! records at once, large ones and those to be cut go the long way.
 
 use super::clip::{self, Corner};
-use super::record::{Extent, NONE, Record};
+use super::record::{Bounds, Extent, NONE, Record};
 use super::shape::{CLUSTER, Frustum, Shape};
 use super::sort::{BATCH, Rules, SEVERAL, SMALL, Sorted};
 use super::vertex::{NO_SPOT, Spot, Vertices, normal_matrix, unit};
@@ -103,7 +103,7 @@ impl<'a> Sorting<'a> {
         (surface, unit(normals * (b - a).cross(c - a)).dot(light).max(0.0) as f32)
     }
 
-    fn record(&self, triangle: usize, corners: [u32; 3], bounds: [i16; 4]) -> Record {
+    fn record(&self, triangle: usize, corners: [u32; 3], bounds: Bounds) -> Record {
         let (surface, face) = self.kind(triangle, corners);
         Record { corners, surface, face, bounds, ..Record::NONE }
     }
@@ -196,8 +196,7 @@ impl Chunk {
                 }
                 let front = sorted.front >> k & 1 == 1;
                 let corners = if front { [a, c, b] } else { [a, b, c] };
-                let bounds = [sorted.lows[k], sorted.lows[k] >> 16, sorted.highs[k], sorted.highs[k] >> 16];
-                let bounds = bounds.map(|v| v as i16);
+                let bounds = Bounds { low: sorted.lows[k], high: sorted.highs[k] };
                 let (mut surface, mut face) = (sorting.surface, -1.0);
                 if !sorting.plain {
                     (surface, face) = sorting.kind(first + k, [a, b, c]);
@@ -247,7 +246,7 @@ impl Chunk {
     /// The rare way: cut and split first.
     fn cut(&mut self, sorting: &Sorting<'_>, triangle: usize, corners: [u32; 3]) {
         let Sorting { view, instance, mesh, .. } = sorting;
-        let whole = sorting.record(triangle, corners, [0; 4]);
+        let whole = sorting.record(triangle, corners, Bounds::default());
         let cut = corners.map(|c| {
             let (c, index) = (c as usize, instance.first_vertex + c as usize);
             let normal = view.vertices.normals.get(index).copied().unwrap_or_default();
@@ -282,7 +281,7 @@ impl Chunk {
     /// Adds what of a record is in them to its tiles.
     #[inline(never)]
     fn list(&mut self, record: &Record) {
-        let [x0, y0, x1, y1] = record.bounds.map(|v| v as usize / TILE);
+        let [x0, y0, x1, y1] = record.bounds.sides().map(|v| v as usize / TILE);
         if x1 - x0 >= MAX_LISTED || y1 - y0 >= MAX_LISTED {
             self.wide.push(self.records.len() as u32);
             self.records.push(*record);
@@ -292,8 +291,8 @@ impl Chunk {
         }
         for row in y0..=y1 {
             for column in x0..=x1 {
-                let (x, y) = ((column * TILE) as i16, (row * TILE) as i16);
-                let part = record.cut([x, y, x + (TILE as i16 - 1), y + (TILE as i16 - 1)]);
+                let (x, y) = ((column * TILE) as i32, (row * TILE) as i32);
+                let part = record.cut([x, y, x + (TILE as i32 - 1), y + (TILE as i32 - 1)]);
                 if record.cover == 0 || part.cover != 0 {
                     self.append(part, row * self.columns + column);
                 }
@@ -316,7 +315,7 @@ impl Chunk {
 
 /// Which of the corners comes first, second and third, and the pixels they bound; `None` when no pixel center is
 /// covered or the triangle faces away.
-fn shape(p: [Spot; 3], sorting: &Sorting<'_>) -> Option<([usize; 3], [i16; 4])> {
+fn shape(p: [Spot; 3], sorting: &Sorting<'_>) -> Option<([usize; 3], Bounds)> {
     let [[x0, y0], [x1, y1], [x2, y2]] = p.map(|spot| spot.map(i64::from));
     let area = (x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0);
     // positive = clockwise as seen, the back
@@ -330,5 +329,5 @@ fn shape(p: [Spot; 3], sorting: &Sorting<'_>) -> Option<([usize; 3], [i16; 4])> 
     let right = (x0.max(x1).max(x2) >> 8).min(size.width as i64 - 1);
     let bottom = (y0.max(y1).max(y2) >> 8).min(size.height as i64 - 1);
     let wound = if area < 0 { [0, 2, 1] } else { [0, 1, 2] };
-    (left <= right && top <= bottom).then(|| (wound, [left, top, right, bottom].map(|v| v as i16)))
+    (left <= right && top <= bottom).then(|| (wound, Bounds::new([left, top, right, bottom].map(|v| v as i32))))
 }

@@ -9,12 +9,12 @@
 
 use super::View;
 use super::bins::Chunk;
-use super::record::{Extent, Record};
+use super::record::{Bounds, Extent, Record};
 use super::run::{Line, Pixels, Run};
 use super::setup::{ANY, BOTH, PLAIN, STRIP, Setup, Triangle};
 use super::slopes::{Slope, Slopes, Weights};
 use super::sort::LITTLE;
-use super::spans::{self, Area, Row};
+use super::spans;
 use super::tile::{Channels, MOST, STRIDE, Slot};
 use super::vertex::{Vertex, narrow};
 use crate::pixels::TILE;
@@ -62,9 +62,9 @@ fn draw_records<const MODE: u8>(
     let (nobody, nowhere) = (Chunk::default(), Vertex::default());
     let blank = Triangle { record: &Record::NONE, chunk: &nobody, places: [&nowhere; 3] };
     let (mut four, mut count) = ([blank; 4], 0);
-    let mut rows = [Row::default(); TILE];
+    let mut setup = Setup::default();
     let mut draw = |four: &[Triangle<'_>; 4], count| {
-        dispatch!(level, simd => draw_four::<_, MODE>(simd, &pen, four, count, &mut rows, pixels));
+        dispatch!(level, simd => draw_four::<_, MODE>(simd, &pen, four, count, &mut setup, pixels));
     };
     for chunk in chunks {
         if !chunk.holds(tile) {
@@ -93,12 +93,6 @@ fn draw_records<const MODE: u8>(
     }
 }
 
-#[inline(always)]
-fn whole_area(record: &Record) -> Area {
-    let [x0, y0, x1, y1] = record.bounds;
-    Area { first: x0.into(), top: y0.into(), last: x1.into(), bottom: y1.into() }
-}
-
 /// Draws the first `count` of four small triangles, one after the other; or a single one that is not small.
 #[inline(always)]
 fn draw_four<S: Simd, const MODE: u8>(
@@ -106,24 +100,25 @@ fn draw_four<S: Simd, const MODE: u8>(
     tile: &Tile<'_>,
     four: &[Triangle<'_>; 4],
     count: usize,
-    rows: &mut [Row; TILE],
+    setup: &mut Setup,
     pixels: &mut Pixels<'_>,
 ) {
     let [p, q, r, s] = four;
     if p.record.extent != Extent::Small {
-        return draw_large::<S, MODE>(simd, tile, p, rows, pixels);
+        return draw_large::<S, MODE>(simd, tile, p, setup, pixels);
     }
-    let areas = [whole_area(p.record), whole_area(q.record), whole_area(r.record), whole_area(s.record)];
+    let areas = [p.record.bounds, q.record.bounds, r.record.bounds, s.record.bounds];
     let known = |triangle: &Triangle<'_>| triangle.record.cover != 0;
     let spans = !(known(p) && known(q) && known(r) && known(s));
-    let setup = Setup::new::<S, MODE>(simd, four, &areas, spans, rows);
-    for (k, (triangle, area)) in four.iter().zip(&areas).enumerate().take(count) {
+    let [left, top, ..] = tile.bounds;
+    setup.fill::<S, MODE>(simd, [left, top], four, areas, spans);
+    for (k, triangle) in four.iter().enumerate().take(count) {
         if setup.steep >> k & 1 == 1 {
-            draw_large::<S, MODE>(simd, tile, triangle, &mut [Row::default(); TILE], pixels);
+            draw_large::<S, MODE>(simd, tile, triangle, &mut Setup::default(), pixels);
         } else if triangle.record.cover != 0 {
-            draw_little::<S, MODE>(simd, tile, triangle, &setup, k, area, rows, pixels);
+            draw_little::<S, MODE>(simd, tile, triangle, setup, k, pixels);
         } else {
-            draw_rows::<S, MODE>(simd, tile, triangle, &setup, k, area, rows, pixels);
+            draw_rows::<S, MODE>(simd, tile, triangle, setup, k, pixels);
         }
     }
 }
@@ -134,34 +129,37 @@ fn draw_large<S: Simd, const MODE: u8>(
     simd: S,
     tile: &Tile<'_>,
     triangle: &Triangle<'_>,
-    rows: &mut [Row; TILE],
+    setup: &mut Setup,
     pixels: &mut Pixels<'_>,
 ) {
-    let ([x0, y0, x1, y1], [left, top, right, bottom]) = (triangle.record.bounds.map(i32::from), tile.bounds);
-    let area = Area { first: x0.max(left), top: y0.max(top), last: x1.min(right), bottom: y1.min(bottom) };
-    if area.first > area.last || area.top > area.bottom {
+    let ([x0, y0, x1, y1], [left, top, right, bottom]) = (triangle.record.bounds.sides(), tile.bounds);
+    let (first, above, last, below) = (x0.max(left), y0.max(top), x1.min(right), y1.min(bottom));
+    if first > last || above > below {
         return;
     }
-    let mut draw = |area: &Area| {
-        if !spans::fill_one(area, triangle.spots(tile.view), rows) {
+    let spots = triangle.spots(tile.view);
+    let mut draw = |first: i32, last: i32| {
+        let at = (above - top) * STRIDE as i32 + first - left;
+        let area = Bounds::new([first, above, last, below]);
+        if !spans::fill_one(at, area, spots, &mut setup.rows) {
             return true;
         }
         simd.vectorize(
             #[inline(always)]
             || {
-                let setup = Setup::new::<S, MODE>(simd, &[*triangle; 4], &[*area; 4], false, rows);
+                setup.fill::<S, MODE>(simd, [left, top], &[*triangle; 4], [area; 4], false);
                 if setup.steep == 0 {
-                    draw_rows::<S, MODE>(simd, tile, triangle, &setup, 0, area, rows, pixels);
+                    draw_rows::<S, MODE>(simd, tile, triangle, setup, 0, pixels);
                 }
                 setup.steep == 0
             },
         )
     };
-    if draw(&area) {
+    if draw(first, last) {
         return;
     }
-    for first in (area.first..=area.last).step_by(STRIP as usize) {
-        draw(&Area { first, last: area.last.min(first + STRIP - 1), ..area });
+    for first in (first..=last).step_by(STRIP as usize) {
+        draw(first, last.min(first + STRIP - 1));
     }
 }
 
@@ -244,32 +242,30 @@ const COVER: [i32; STRIDE - TILE] = [1, 2, 4, 8, 1 << 30, 1 << 30, 1 << 30, 1 <<
 
 /// Draws a triangle whose covered pixels are known.
 #[inline(always)]
-#[allow(clippy::too_many_arguments)]
 fn draw_little<S: Simd, const MODE: u8>(
     simd: S,
     tile: &Tile<'_>,
     triangle: &Triangle<'_>,
     setup: &Setup,
     k: usize,
-    area: &Area,
-    rows: &[Row; TILE],
     pixels: &mut Pixels<'_>,
 ) {
+    let (k, pixels) = (k % 4, &mut pixels.again());
     let mut cover = i32::from(triangle.record.cover);
     let bits = S::i32s::from_slice(simd, &COVER[..S::i32s::LEN]);
     let xs: S::f32s = S::i32s::from_slice(simd, &LANES[..S::i32s::LEN]).to_float();
-    let across = xs * S::f32s::simd_from(simd, setup.w_right[k % 4]);
+    let w_across = xs * S::f32s::simd_from(simd, setup.w_right[k]);
     let sliver = setup.slivers >> k & 1 == 1;
     let ink = Ink::new::<MODE>(simd, tile, triangle, setup, k);
-    let mut at = (area.top - tile.bounds[1]) as usize * STRIDE + (area.first - tile.bounds[0]) as usize;
-    for (y, row) in rows.iter().enumerate() {
+    let mut at = setup.at[k] as usize;
+    for (y, row) in setup.rows.iter().enumerate() {
         let inside = (S::i32s::simd_from(simd, cover) & bits).simd_eq(bits);
-        let mut here = S::f32s::simd_from(simd, row.w[k % 4]) + across;
+        let mut here = S::f32s::simd_from(simd, row.w[k]) + w_across;
         if sliver {
             here = triangle.kept_near(simd, here);
         }
         let run = Run { at, inside, here, xs, y: y as i32 };
-        ink.draw::<MODE>(simd, &run, row.light[k % 4], triangle.record, tile.view.channels, pixels);
+        ink.draw::<MODE>(simd, &run, row.light[k], triangle.record, tile.view.channels, pixels);
         (cover, at) = (cover >> LITTLE, at + STRIDE);
         if cover == 0 {
             break;
@@ -277,50 +273,45 @@ fn draw_little<S: Simd, const MODE: u8>(
     }
 }
 
-/// Draws what rows know of a triangle over its area.
+/// Draws what its rows know of a triangle.
 #[inline(always)]
-#[allow(clippy::too_many_arguments)]
 fn draw_rows<S: Simd, const MODE: u8>(
     simd: S,
     tile: &Tile<'_>,
     triangle: &Triangle<'_>,
     setup: &Setup,
     k: usize,
-    area: &Area,
-    rows: &[Row; TILE],
     pixels: &mut Pixels<'_>,
 ) {
+    let (k, pixels) = (k % 4, &mut pixels.again());
     let length = S::f32s::LEN as i32;
     let lanes = S::i32s::from_slice(simd, &LANES[..S::i32s::LEN]);
     let first_xs: S::f32s = lanes.to_float();
-    let w_right = S::f32s::simd_from(simd, setup.w_right[k % 4]);
+    let w_right = S::f32s::simd_from(simd, setup.w_right[k]);
     let sliver = setup.slivers >> k & 1 == 1;
     let ink = Ink::new::<MODE>(simd, tile, triangle, setup, k);
-    let mut begin = (area.top - tile.bounds[1]) as usize * STRIDE + (area.first - tile.bounds[0]) as usize;
-    let height = (area.bottom - area.top) as usize + 1;
-    for (y, row) in rows.iter().take(height).enumerate() {
-        let mut left = row.count[k % 4];
-        if left > 0 {
-            let first = row.first[k % 4];
-            let mut at = begin + first as usize;
-            let mut xs = first_xs + S::f32s::simd_from(simd, first as f32);
-            let w = S::f32s::simd_from(simd, row.w[k % 4]);
-            loop {
-                let inside = S::i32s::simd_from(simd, left).simd_gt(lanes);
-                let mut here = w + xs * w_right;
-                if sliver {
-                    here = triangle.kept_near(simd, here);
-                }
-                let run = Run { at, inside, here, xs, y: y as i32 };
-                ink.draw::<MODE>(simd, &run, row.light[k % 4], triangle.record, tile.view.channels, pixels);
-                left -= length;
-                if left <= 0 {
-                    break;
-                }
-                at += length as usize;
-                xs += S::f32s::simd_from(simd, length as f32);
-            }
+    for (y, row) in setup.rows[..(setup.heights[k] as usize).min(TILE)].iter().enumerate() {
+        let mut left = row.count[k];
+        if left == 0 {
+            continue;
         }
-        begin += STRIDE;
+        let mut at = row.at[k] as usize;
+        let mut xs = first_xs + S::f32s::simd_from(simd, row.first[k]);
+        let w = S::f32s::simd_from(simd, row.w[k]);
+        loop {
+            let inside = S::i32s::simd_from(simd, left).simd_gt(lanes);
+            let mut here = w + xs * w_right;
+            if sliver {
+                here = triangle.kept_near(simd, here);
+            }
+            let run = Run { at, inside, here, xs, y: y as i32 };
+            ink.draw::<MODE>(simd, &run, row.light[k], triangle.record, tile.view.channels, pixels);
+            left -= length;
+            if left <= 0 {
+                break;
+            }
+            at += length as usize;
+            xs += S::f32s::simd_from(simd, length as f32);
+        }
     }
 }

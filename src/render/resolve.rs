@@ -11,7 +11,6 @@ use crate::frame::Layer;
 use crate::pixels::simd::{Level, dispatch};
 use crate::pixels::{Plane, Rect, TILE, TileGrid, TileSet};
 use fearless_simd::Simd;
-use std::ops::Range;
 
 /// What tiles are drawn from and written with.
 pub(super) struct Painter<'a> {
@@ -105,22 +104,23 @@ impl<'a, T: Copy> Sheet<'a, T> {
         (Self { samples: above, stride }, Self { samples: below, stride })
     }
 
+    /// What of the first row of tiles is in a tile, row by row.
     #[inline(always)]
-    fn row(&mut self, y: usize, columns: Range<usize>) -> &mut [T] {
-        let first = y * self.stride;
-        self.samples.get_mut(first + columns.start..first + columns.end).unwrap_or_default()
+    fn rows(&mut self, rect: Rect) -> impl Iterator<Item = &mut [T]> {
+        let rows = self.samples.chunks_mut(self.stride.max(1)).take(rect.y1 - rect.y0);
+        rows.map(move |row| row.get_mut(rect.x0..rect.x1).unwrap_or_default())
     }
 
     fn fill(&mut self, rect: Rect, value: T) {
-        (0..rect.y1 - rect.y0).for_each(|y| self.row(y, rect.x0..rect.x1).fill(value));
+        self.rows(rect).for_each(|row| row.fill(value));
     }
 }
 
 impl Sheet<'_, f32> {
     #[inline(always)]
     fn write_depth(&mut self, w: &[f32], nothing: f32, rect: Rect) {
-        for y in 0..rect.y1 - rect.y0 {
-            depth_row(&w[y * STRIDE..][..STRIDE], nothing, self.row(y, rect.x0..rect.x1));
+        for (row, w) in self.rows(rect).zip(w.chunks_exact(STRIDE)) {
+            depth_row(w, nothing, row);
         }
     }
 }
@@ -169,14 +169,21 @@ impl Sheets<'_> {
 
     #[inline(always)]
     fn write<S: Simd>(&mut self, simd: S, palette: &Palette<'_>, slot: &Slot, rect: Rect) {
-        let (columns, nothing) = (rect.x0..rect.x1, palette.nothing);
+        let nothing = palette.nothing;
         if self.color[0].samples.is_empty() {
             self.depth.write_depth(&slot.w, nothing, rect);
         } else {
             let [r, g, b] = &mut self.color;
-            for y in 0..rect.y1 - rect.y0 {
-                let out = [r.row(y, columns.clone()), g.row(y, columns.clone()), b.row(y, columns.clone())];
-                shade_row(simd, palette, slot, y, self.depth.row(y, columns.clone()), out);
+            let gray = palette.gray().zip(slot.attributes.first());
+            let colors = r.rows(rect).zip(g.rows(rect)).zip(b.rows(rect));
+            for (y, (depth, ((r, g), b))) in self.depth.rows(rect).zip(colors).enumerate() {
+                let part = y * STRIDE..(y + 1) * STRIDE;
+                match gray {
+                    Some((gray, light)) => {
+                        gray.shade_row(simd, [&slot.w[part.clone()], &light[part]], depth, [r, g, b]);
+                    }
+                    None => shade_row(simd, palette, slot, y, depth, [r, g, b]),
+                }
             }
         }
         let first = palette.channels.normal_at();
@@ -194,11 +201,10 @@ impl Sheets<'_> {
 #[inline(always)]
 fn write_normals(w: &[f32], nothing: f32, from: [&[f32]; 3], to: &mut [Sheet<'_, f32>; 3], rect: Rect) {
     let [x, y, z] = to;
-    for row in 0..rect.y1 - rect.y0 {
-        let (part, columns) = (row * STRIDE..row * STRIDE + rect.x1 - rect.x0, rect.x0..rect.x1);
+    for (row, ((x, y), z)) in x.rows(rect).zip(y.rows(rect)).zip(z.rows(rect)).enumerate() {
+        let part = row * STRIDE..row * STRIDE + x.len();
         let from = [&from[0][part.clone()], &from[1][part.clone()], &from[2][part.clone()]];
-        let out = [x.row(row, columns.clone()), y.row(row, columns.clone()), z.row(row, columns)];
-        unit_row(&w[part], nothing, from, out);
+        unit_row(&w[part], nothing, from, [x, y, z]);
     }
 }
 

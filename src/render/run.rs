@@ -37,6 +37,24 @@ impl<'a> Pixels<'a> {
     }
 }
 
+impl Pixels<'_> {
+    /// The same for a while: in a place of its own, of which a loop keeps in registers what it needs.
+    #[inline(always)]
+    pub fn again(&mut self) -> Pixels<'_> {
+        let ([a, b, c], [d, e, f]) = (&mut self.normal, &mut self.normal2);
+        Pixels {
+            w: self.w,
+            light: self.light.as_deref_mut(),
+            normal: [a, b, c],
+            others: self.others,
+            surface: self.surface,
+            w2: self.w2,
+            normal2: [d, e, f],
+            shield: self.shield,
+        }
+    }
+}
+
 /// A value along a row.
 #[derive(Clone, Copy)]
 pub(super) struct Line<F> {

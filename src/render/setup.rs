@@ -3,11 +3,11 @@
 
 use super::View;
 use super::bins::Chunk;
-use super::record::{Extent, Record};
+use super::record::{Bounds, Extent, Record};
 use super::slopes::{Slope, Slopes, SlopesApart, Weights};
-use super::spans::{Area, Corners, Row};
-use super::tile::MOST;
-use super::vertex::{Spot, Vertex, Vertices, narrow, widen};
+use super::spans::{Corners, Row};
+use super::tile::{MOST, STRIDE};
+use super::vertex::{Spot, Vertex, Vertices, narrow, wide, widen};
 use crate::pixels::TILE;
 use fearless_simd::{Simd, SimdFrom, f64x4, i32x4, prelude::*};
 use glam::Vec3;
@@ -128,34 +128,61 @@ impl<'a> Triangle<'a> {
 
 /// Four triangles, each over its area.
 pub(super) struct Setup {
-    pub weights: [SlopesApart; 2],
+    /// The first pixel in the slot, and how many rows there are.
+    pub at: [i32; 4],
+    pub heights: [i32; 4],
     /// Steps of 1/z and light to the right, rounded.
     pub w_right: [f32; 4],
     pub light_right: [f32; 4],
     /// A bit each: too steep for their width, slivers.
     pub steep: u64,
     pub slivers: u64,
+    pub weights: [SlopesApart; 2],
+    pub rows: [Row; TILE],
+}
+
+impl Default for Setup {
+    fn default() -> Self {
+        Self {
+            at: [0; 4],
+            heights: [0; 4],
+            w_right: [0.0; 4],
+            light_right: [0.0; 4],
+            steep: 0,
+            slivers: 0,
+            weights: Default::default(),
+            rows: [Row::default(); TILE],
+        }
+    }
 }
 
 impl Setup {
-    /// Sets up four triangles, and fills their rows: 1/z and light, and what is covered where `spans` are wanted; of small
-    /// triangles only.
+    /// Sets up four triangles over areas within the tile that begins at `corner`; what of their rows is covered only
+    /// where `spans` are wanted, and of small ones.
     #[inline(always)]
-    pub fn new<S: Simd, const MODE: u8>(
+    pub fn fill<S: Simd, const MODE: u8>(
+        &mut self,
         simd: S,
+        corner: [i32; 2],
         four: &[Triangle<'_>; 4],
-        areas: &[Area; 4],
+        areas: [Bounds; 4],
         spans: bool,
-        rows: &mut [Row; TILE],
-    ) -> Self {
+    ) {
         let of = |v: f64| f64x4::splat(simd, v);
+        let whole = |v: i32| i32x4::splat(simd, v);
         let (a, b, c) = (corners(simd, four, 0), corners(simd, four, 1), corners(simd, four, 2));
         let [p, q, r, s] = areas;
-        let left = f64x4::simd_from(simd, [p.first, q.first, r.first, s.first].map(f64::from));
-        let last = f64x4::simd_from(simd, [p.last, q.last, r.last, s.last].map(f64::from));
-        let top = f64x4::simd_from(simd, [p.top, q.top, r.top, s.top].map(f64::from));
+        let low = i32x4::simd_from(simd, [p.low, q.low, r.low, s.low]);
+        let high = i32x4::simd_from(simd, [p.high, q.high, r.high, s.high]);
+        let (left, top) = (low & whole(0xffff), low >> 16);
+        let columns = (high & whole(0xffff)) - left;
+        let heights = (high >> 16) - top + whole(1);
+        let at = top * whole(STRIDE as i32) + left - whole(corner[1] * STRIDE as i32 + corner[0]);
+        at.store_slice(&mut self.at);
+        heights.store_slice(&mut self.heights);
+        let corner = [wide(simd, left.to_float()), wide(simd, top.to_float())];
         let (x, y) = ([a[0], b[0], c[0]], [a[1], b[1], c[1]]);
-        let weights = Weights::new(simd, [left, top], x, y);
+        let weights = Weights::new(simd, corner, x, y);
         let w = weights.slopes([a[2], b[2], c[2]]);
         let mut light = Slopes::zero(simd);
         if MODE != BOTH {
@@ -168,36 +195,33 @@ impl Setup {
             light.right = flat.select(of(0.0), light.right);
             light.down = flat.select(of(0.0), light.down);
         }
-        let heights = [p.bottom - p.top, q.bottom - q.top, r.bottom - r.top, s.bottom - s.top];
-        let most = heights[0].max(heights[1]).max(heights[2]).max(heights[3]);
-        let rows = &mut rows[..(most as usize).min(TILE - 1) + 1];
-        let mut y = 0.0;
+        let [i, j, k, l] = self.heights;
+        let rows = &mut self.rows[..(i.max(j).max(k).max(l) as usize).min(TILE)];
+        let mut below = 0.0;
         for row in rows.iter_mut() {
-            w.at(simd, y).store_slice(&mut row.w);
+            w.at(simd, below).store_slice(&mut row.w);
             if MODE != BOTH {
-                light.at(simd, y).store_slice(&mut row.light);
+                light.at(simd, below).store_slice(&mut row.light);
             }
-            y += 1.0;
+            below += 1.0;
         }
         if spans {
-            let columns = [p.last - p.first, q.last - q.first, r.last - r.first, s.last - s.first];
-            let columns = i32x4::simd_from(simd, columns) + i32x4::splat(simd, 1);
-            Corners::new(simd, [left, top], x, [a[1], b[1], c[1]]).fill(simd, columns, rows);
+            Corners::new(simd, corner, x, y).fill(simd, at, columns + whole(1), rows);
         }
-        let (mut w_right, mut light_right) = ([0.0; 4], [0.0; 4]);
-        narrow(simd, w.right).store_slice(&mut w_right);
-        narrow(simd, light.right).store_slice(&mut light_right);
+        narrow(simd, w.right).store_slice(&mut self.w_right);
+        narrow(simd, light.right).store_slice(&mut self.light_right);
         let (across, along) = weights.steepness();
-        let (width, least) = (last - left, a[2].min(b[2]).min(c[2]));
-        let steep = (w.right.abs() * width).simd_gt(of(STEEP_DEPTH) * least)
-            | (across * width).simd_gt(of(STEEP_WEIGHTS));
-        let steep = steep & width.simd_ge(of(f64::from(STRIP)));
-        Self {
-            weights: [weights.0[0].apart(), weights.0[1].apart()],
-            w_right,
-            light_right,
-            steep: steep.to_bitmask(),
-            slivers: (across + along).simd_gt(of(SLIVER)).to_bitmask(),
+        self.slivers = (across + along).simd_gt(of(SLIVER)).to_bitmask();
+        self.steep = 0;
+        let broad = columns.simd_ge(whole(STRIP));
+        if broad.any_true() {
+            let (width, least) = (wide(simd, columns.to_float()), a[2].min(b[2]).min(c[2]));
+            let steep = (w.right.abs() * width).simd_gt(of(STEEP_DEPTH) * least)
+                | (across * width).simd_gt(of(STEEP_WEIGHTS));
+            self.steep = steep.to_bitmask() & broad.to_bitmask();
+        }
+        if MODE != PLAIN {
+            self.weights = [weights.0[0].apart(), weights.0[1].apart()];
         }
     }
 }

@@ -3,7 +3,7 @@
 use super::tile::{Channels, STRIDE, Slot};
 use crate::pixels::{Rgb, TILE};
 use crate::scene::{Light, Model, Scene, Shading, Wrap};
-use fearless_simd::{Simd, SimdBase, SimdFrom, f32x8, i32x8, prelude::*};
+use fearless_simd::{Simd, SimdBase, SimdFrom, f32x8, i32x8, mask32x8, prelude::*};
 use glam::Vec3;
 
 /// How intensity is found on a surface.
@@ -128,11 +128,6 @@ pub(super) fn shade_row<S: Simd>(
     depth: &mut [f32],
     out: [&mut [u8]; 3],
 ) {
-    if let ([surface], false) = (palette.surfaces, palette.channels.surfaces)
-        && let Some(gray) = surface.gray()
-    {
-        return gray_row(simd, palette, surface, gray, slot, row, depth, out);
-    }
     let mut far = [f32::INFINITY; TILE];
     let mut levels = [[0i32; TILE]; 3];
     let [reds, greens, blues] = &mut levels;
@@ -176,43 +171,85 @@ pub(super) fn shade_row<S: Simd>(
     }
 }
 
-/// The common case: one smooth surface without color.
-#[inline(always)]
-#[allow(clippy::too_many_arguments)]
-fn gray_row<S: Simd>(
-    simd: S,
-    palette: &Palette<'_>,
-    surface: &Surface,
+/// The common case, one smooth surface without color: its ambient share and gray.
+#[derive(Clone, Copy)]
+pub(super) struct Gray {
+    ambient: f32,
     gray: f32,
-    slot: &Slot,
-    row: usize,
-    depth: &mut [f32],
-    [r, g, b]: [&mut [u8]; 3],
-) {
-    let Some(light) = slot.attributes.first() else { return };
-    let (mut far, mut levels) = ([0.0; TILE], [0i32; TILE]);
-    let nothing = f32x8::splat(simd, palette.nothing);
-    let (zero, one) = (f32x8::splat(simd, 0.0), f32x8::splat(simd, 1.0));
-    let infinite = f32x8::splat(simd, f32::INFINITY);
-    let ambient = f32x8::splat(simd, surface.ambient);
-    let (rest, base) = (f32x8::splat(simd, 1.0 - surface.ambient), f32x8::splat(simd, gray));
-    let half = f32x8::splat(simd, 0.5);
-    for x in (0..TILE).step_by(RUN) {
-        let at = row * STRIDE + x;
-        let w = load(simd, &slot.w, at);
-        let covered = w.simd_gt(nothing);
-        let z = one / w;
-        covered.select(z, infinite).store_slice(&mut far[x..x + RUN]);
-        let light = ambient + rest * unit_range(simd, load(simd, light, at) * z);
-        covered.select(light * base + half, zero).to_int::<i32x8<S>>().store_slice(&mut levels[x..x + RUN]);
+    /// 1/z that stands for no surface.
+    nothing: f32,
+}
+
+/// Pixels whose levels are one vector of bytes.
+const WIDE: usize = 16;
+
+impl Palette<'_> {
+    /// The common case, where it is one.
+    pub fn gray(&self) -> Option<Gray> {
+        let ([surface], false) = (self.surfaces, self.channels.surfaces) else { return None };
+        Some(Gray { ambient: surface.ambient, gray: surface.gray()?, nothing: self.nothing })
     }
-    depth.copy_from_slice(&far[..depth.len()]);
-    let mut bytes = [0u8; TILE];
-    for (byte, &level) in bytes.iter_mut().zip(&levels) {
-        *byte = level as u8;
+}
+
+impl Gray {
+    /// What `shade_row` does.
+    #[inline(always)]
+    pub fn shade_row<S: Simd>(
+        &self,
+        simd: S,
+        [w, light]: [&[f32]; 2],
+        depth: &mut [f32],
+        [r, g, b]: [&mut [u8]; 3],
+    ) {
+        let from = w.as_chunks().0.iter().zip(light.as_chunks().0);
+        let (z, rest_z) = depth.as_chunks_mut();
+        let ((r, rest_r), (g, rest_g), (b, rest_b)) = (r.as_chunks_mut(), g.as_chunks_mut(), b.as_chunks_mut());
+        let whole = z.len();
+        for ((((from, z), r), g), b) in from.clone().zip(z).zip(r).zip(g).zip(b) {
+            self.shade(simd, from, z, r);
+            (*g, *b) = (*r, *r);
+        }
+        if let (false, Some(from)) = (rest_z.is_empty(), from.clone().nth(whole)) {
+            let (mut z, mut levels) = ([0.0; WIDE], [0; WIDE]);
+            self.shade(simd, from, &mut z, &mut levels);
+            rest_z.copy_from_slice(&z[..rest_z.len()]);
+            for rest in [rest_r, rest_g, rest_b] {
+                rest.copy_from_slice(&levels[..rest.len()]);
+            }
+        }
     }
-    for out in [r, g, b] {
-        out.copy_from_slice(&bytes[..out.len()]);
+
+    #[inline(always)]
+    fn shade<S: Simd>(
+        &self,
+        simd: S,
+        (w, light): (&[f32; WIDE], &[f32; WIDE]),
+        depth: &mut [f32; WIDE],
+        levels: &mut [u8; WIDE],
+    ) {
+        let nothing = f32x8::splat(simd, self.nothing);
+        let (w0, w1) = (load(simd, w, 0), load(simd, w, RUN));
+        let (covered0, covered1) = (w0.simd_gt(nothing), w1.simd_gt(nothing));
+        if (covered0 | covered1).all_false() {
+            (*depth, *levels) = ([f32::INFINITY; WIDE], [0; WIDE]);
+            return;
+        }
+        let (one, infinite) = (f32x8::splat(simd, 1.0), f32x8::splat(simd, f32::INFINITY));
+        let (z0, z1) = (one / w0, one / w1);
+        covered0.select(z0, infinite).store_slice(&mut depth[..RUN]);
+        covered1.select(z1, infinite).store_slice(&mut depth[RUN..]);
+        let level0 = self.level(simd, load(simd, light, 0) * z0, covered0);
+        let level1 = self.level(simd, load(simd, light, RUN) * z1, covered1);
+        let ((a, b), (c, d)) = (simd.split_i32x8(level0), simd.split_i32x8(level1));
+        let (low, high) = (simd.relaxed_narrow_i32x4(a, b), simd.relaxed_narrow_i32x4(c, d));
+        simd.relaxed_narrow_u16x8(low.bitcast(), high.bitcast()).store_slice(levels);
+    }
+
+    #[inline(always)]
+    fn level<S: Simd>(&self, simd: S, light: f32x8<S>, covered: mask32x8<S>) -> i32x8<S> {
+        let light = f32x8::splat(simd, self.ambient)
+            + f32x8::splat(simd, 1.0 - self.ambient) * unit_range(simd, light);
+        covered.select(to_level(simd, light, self.gray), i32x8::splat(simd, 0))
     }
 }
 

@@ -6,23 +6,18 @@
 //! one. Of small triangles all this fits in f32: the crossing is off by less than a quarter of its distance to the
 //! nearest center.
 
+use super::record::Bounds;
+use super::tile::STRIDE;
 use super::vertex::{SUBPIXELS, Spot, narrow};
 use fearless_simd::{Simd, SimdBase, f32x4, f64x4, i32x4, mask32x4, prelude::*};
-
-/// The pixels of a tile that a triangle may cover, picture coordinates, inclusive.
-#[derive(Clone, Copy)]
-pub(super) struct Area {
-    pub first: i32,
-    pub top: i32,
-    pub last: i32,
-    pub bottom: i32,
-}
 
 /// A row of each of four triangles.
 #[derive(Clone, Copy, Default)]
 pub(super) struct Row {
-    /// Covered pixels: the first one, from the area's first column on, and how many; below 1 there are none.
-    pub first: [i32; 4],
+    /// The first covered pixel, in the slot, and its column from the area's first one on.
+    pub at: [i32; 4],
+    pub first: [f32; 4],
+    /// How many are covered; all else is any where none is.
     pub count: [i32; 4],
     /// 1/z and light at the area's first column.
     pub w: [f32; 4],
@@ -34,12 +29,12 @@ pub(super) struct Corners<S: Simd>([[i32x4<S>; 2]; 3]);
 
 /// One edge of four triangles.
 struct Edge<S: Simd> {
-    /// Its function at the first center of a row, plus 1/2, and the step to the next row.
+    /// Its function at the column before the first of a row, plus 1/2, and the step to the next row.
     here: f32x4<S>,
     down: f32x4<S>,
-    /// Turns that into where it crosses the row.
+    /// Turns that into columns up to where it crosses the row.
     across: f32x4<S>,
-    /// Whether pixels are to the right of it.
+    /// All bits set where pixels are to the right of it.
     left: mask32x4<S>,
 }
 
@@ -63,28 +58,31 @@ impl<S: Simd> Corners<S> {
         let left = right.simd_gt(zero);
         // centers on it are inside: of top edges, to the right along the row, and of left ones, upwards
         let owned = left | (right.simd_eq(zero) & down.simd_gt(zero));
-        let start = (zero - right * x - down * y - owned.select(zero, one)) >> 8;
+        let start = ((zero - right * x - down * y - owned.select(zero, one)) >> 8) - right;
         let (start, down, back): (f32x4<S>, f32x4<S>, f32x4<S>) =
             (start.to_float(), down.to_float(), (zero - right).to_float());
         // along the row: infinite, with the sign of its function, and never a left edge
         Edge { here: start + 0.5, down, across: f32x4::splat(simd, 1.0) / back, left }
     }
 
-    /// Finds the covered pixels of the rows; of small triangles only.
+    /// Finds the covered pixels of the rows, `at` being the area's first one and `columns` how many it has in a row; of
+    /// small triangles only.
     #[inline(always)]
-    pub fn fill(&self, simd: S, columns: i32x4<S>, rows: &mut [Row]) {
+    pub fn fill(&self, simd: S, mut at: i32x4<S>, columns: i32x4<S>, rows: &mut [Row]) {
         let (mut p, mut q, mut r) = (self.edge(simd, 0), self.edge(simd, 1), self.edge(simd, 2));
-        let before = f32x4::splat(simd, -0.5);
-        let after = columns.to_float::<f32x4<S>>() - 0.5;
-        let one = i32x4::splat(simd, 1);
+        let before = f32x4::splat(simd, 0.0);
+        let after = columns.to_float::<f32x4<S>>() + 0.5;
         for row in rows {
             let (s, t, u) = (p.here * p.across, q.here * q.across, r.here * r.across);
             let low = p.left.select(s, before).max(q.left.select(t, before)).max(r.left.select(u, before));
             let high = p.left.select(after, s).min(q.left.select(after, t)).min(r.left.select(after, u));
-            let (outside, last) = (low.floor(), high.max(low).floor());
-            (outside.to_int::<i32x4<S>>() + one).store_slice(&mut row.first);
-            (last - outside).to_int::<i32x4<S>>().store_slice(&mut row.count);
+            // neither is below 0
+            let (first, end) = (low.to_int::<i32x4<S>>(), high.max(low).to_int::<i32x4<S>>());
+            (at + first).store_slice(&mut row.at);
+            first.to_float::<f32x4<S>>().store_slice(&mut row.first);
+            (end - first).store_slice(&mut row.count);
             (p.here, q.here, r.here) = (p.here + p.down, q.here + q.down, r.here + r.down);
+            at += i32x4::splat(simd, STRIDE as i32);
         }
     }
 }
@@ -96,34 +94,39 @@ fn snapped<S: Simd>(simd: S, v: f64x4<S>, origin: f64x4<S>) -> i32x4<S> {
 }
 
 /// Finds the covered pixels of a triangle of any size, as the first of the four; `false` when some edge leaves the
-/// whole area outside.
-pub(super) fn fill_one(area: &Area, spots: [Spot; 3], rows: &mut [Row]) -> bool {
-    let columns = i64::from(area.last - area.first);
-    let height = i64::from(area.bottom - area.top);
-    let (x, y) = (i64::from(area.first) * 256, i64::from(area.top) * 256);
+/// whole area, whose first pixel is `at`, outside.
+pub(super) fn fill_one(at: i32, area: Bounds, spots: [Spot; 3], rows: &mut [Row]) -> bool {
+    let [left, top, right, bottom] = area.sides().map(i64::from);
+    let (columns, height) = (right - left, bottom - top);
     let mut edges = [[0; 3]; 3];
-    for k in 0..3 {
+    for (k, edge) in edges.iter_mut().enumerate() {
         let [[x0, y0], [x1, y1]] = [spots[k], spots[(k + 1) % 3]].map(|spot| spot.map(i64::from));
         let (right, down) = (y0 - y1, x1 - x0);
         let owned = right > 0 || (right == 0 && down > 0);
-        let start = (right * (x - x0) + down * (y - y0) - i64::from(!owned)) >> 8;
-        if start + (right * columns).max(0) + (down * height).max(0) < 0 {
+        let start = (right * (256 * left - x0) + down * (256 * top - y0) - i64::from(!owned)) >> 8;
+        let (across, along) = (right * columns, down * height);
+        if start + across.max(0) + along.max(0) < 0 {
             return false;
         }
-        edges[k] = [start, right, down];
-    }
-    for (y, row) in (0..=height).zip(rows) {
-        let (mut first, mut last) = (0, columns);
-        for [start, right, down] in edges {
-            let here = start + down * y;
-            match right {
-                0 if here < 0 => last = -1,
-                0 => {}
-                1.. => first = first.max(-here.div_euclid(right)),
-                _ => last = last.min(here.div_euclid(-right)),
-            }
+        // inside everywhere: stays 0
+        if start + across.min(0) + along.min(0) < 0 {
+            *edge = [start, right, down];
         }
-        (row.first[0], row.count[0]) = (first.min(columns) as i32, (last - first + 1).max(0) as i32);
+    }
+    for (y, row) in (0..=height as i32).zip(rows) {
+        let (mut first, mut last) = (0, columns);
+        for [here, right, down] in &mut edges {
+            match *right {
+                0 if *here < 0 => last = -1,
+                0 => {}
+                1.. => first = first.max(-here.div_euclid(*right)),
+                _ => last = last.min(here.div_euclid(-*right)),
+            }
+            *here += *down;
+        }
+        row.count[0] = (last + 1 - first).max(0) as i32;
+        let first = first.min(columns) as i32;
+        (row.at[0], row.first[0]) = (at + y * STRIDE as i32 + first, first as f32);
     }
     true
 }
@@ -131,10 +134,13 @@ pub(super) fn fill_one(area: &Area, spots: [Spot; 3], rows: &mut [Row]) -> bool 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::pixels::simd::{self, dispatch};
+    use crate::pixels::simd::{self, Level, dispatch};
     use crate::pixels::{SplitMix64, TILE};
     use crate::render::sort::SMALL;
     use fearless_simd::SimdFrom;
+
+    /// Where areas begin in the slot.
+    const AT: i32 = 7;
 
     /// Whether a pixel center is inside, by the contract's words.
     fn covers(p: [Spot; 3], x: i64, y: i64) -> bool {
@@ -147,14 +153,15 @@ mod tests {
     }
 
     /// What of the area is covered is one run in each row, and it is that of the rows.
-    fn check(area: &Area, p: [Spot; 3], rows: &[Row], k: usize, name: &str) -> usize {
+    fn check(area: Bounds, p: [Spot; 3], rows: &[Row], k: usize, name: &str) -> usize {
+        let [left, top, right, bottom] = area.sides();
         let mut hits = 0;
-        for (y, row) in (area.top..=area.bottom).zip(rows) {
-            let inside = |x: i32| covers(p, x.into(), y.into());
-            let covered: Vec<i32> = (area.first..=area.last).filter(|&x| inside(x)).collect();
-            assert_eq!(row.count[k].max(0), covered.len() as i32, "{p:?} row {y} {name}");
+        for (y, row) in (top..=bottom).zip(rows) {
+            let covered: Vec<i32> = (left..=right).filter(|&x| covers(p, x.into(), y.into())).collect();
+            assert_eq!(row.count[k], covered.len() as i32, "{p:?} row {y} {name}");
             if let [first, ..] = covered[..] {
-                assert_eq!(row.first[k], first - area.first, "{p:?} row {y} {name}");
+                assert_eq!(row.first[k], (first - left) as f32, "{p:?} row {y} {name}");
+                assert_eq!(row.at[k], AT + (y - top) * STRIDE as i32 + first - left);
                 assert_eq!(covered[covered.len() - 1] - first + 1, covered.len() as i32);
             }
             hits += covered.len();
@@ -169,18 +176,34 @@ mod tests {
     }
 
     /// What of the box around the corners is in a tile.
-    fn area(p: [Spot; 3], tile: [i32; 2]) -> Option<Area> {
+    fn area(p: [Spot; 3], tile: [i32; 2]) -> Option<Bounds> {
         let side = |i: usize| {
-            let (low, high) = (p.map(|v| v[i]), p.map(|v| v[i]));
-            let (low, high) = (low.into_iter().min()?, high.into_iter().max()?);
+            let (low, high) = (p.iter().map(|v| v[i]).min()?, p.iter().map(|v| v[i]).max()?);
             let end = tile[i] + TILE as i32 - 1;
-            Some([((low + 255) >> 8).clamp(tile[i], end + 1), (high >> 8).clamp(tile[i] - 1, end)])
+            Some([((low + 255) >> 8).max(tile[i]), (high >> 8).min(end)])
         };
-        let ([first, last], [top, bottom]) = (side(0)?, side(1)?);
-        (first <= last && top <= bottom).then_some(Area { first, top, last, bottom })
+        let ([left, right], [top, bottom]) = (side(0)?, side(1)?);
+        (left <= right && top <= bottom).then(|| Bounds::new([left, top, right, bottom]))
     }
 
-    /// Small ones at every level, unsnapped places anywhere around their spots; all by the way for any size too.
+    /// The rows of four triangles whose unsnapped corners are `within`, -.5 to .5, of their spots.
+    fn rows(level: Level, four: &[([Spot; 3], Bounds); 4], within: f64) -> [Row; TILE] {
+        let mut rows = [Row::default(); TILE];
+        let place = |k: usize, i: usize| four.map(|(p, _)| (f64::from(p[k][i]) + within) / 256.0);
+        let side = |i: usize| four.map(|(_, area)| f64::from(area.sides()[i]));
+        dispatch!(level, simd => {
+            let of = |v: [f64; 4]| f64x4::simd_from(simd, v);
+            let x = [of(place(0, 0)), of(place(1, 0)), of(place(2, 0))];
+            let y = [of(place(0, 1)), of(place(1, 1)), of(place(2, 1))];
+            let columns = four.map(|(_, area)| area.sides()[2] - area.sides()[0] + 1);
+            Corners::new(simd, [of(side(0)), of(side(1))], x, y).fill(
+                simd, i32x4::splat(simd, AT), i32x4::simd_from(simd, columns), &mut rows,
+            );
+        });
+        rows
+    }
+
+    /// Small ones at every level, and each of them as one of any size.
     #[test]
     fn rows_are_what_is_covered() {
         let mut rng = SplitMix64::new(21);
@@ -188,7 +211,7 @@ mod tests {
         for round in 0..20_000 {
             let spread = [40, 300, 1500, i64::from(SMALL) / 2 - 1][round % 4];
             let tile = [rng.int(0, 9), rng.int(0, 9)].map(|v| (v * 64) as i32);
-            let mut four = [([[0; 2]; 3], Area { first: 0, top: 0, last: 0, bottom: 0 }); 4];
+            let mut four = [([[0; 2]; 3], Bounds::default()); 4];
             for one in &mut four {
                 let middle = tile.map(|v| i64::from(v) * 256 + rng.int(-2000, 18_000));
                 let mut corners = [[0; 2]; 3];
@@ -206,63 +229,46 @@ mod tests {
                     *one = (p, area);
                 }
             }
-            let of = |f: &dyn Fn(&([Spot; 3], Area)) -> f64| four.each_ref().map(f);
-            let within = rng.f64() - 0.5;
-            let place = |k: usize, i: usize| of(&|(p, _)| (f64::from(p[k][i]) + within * 0.999) / 256.0);
-            let most = four.iter().map(|(_, area)| area.bottom - area.top + 1).max().unwrap_or(0);
+            let within = (rng.f64() - 0.5) * 0.999;
             for level in simd::available() {
-                let mut rows = [Row::default(); TILE];
-                dispatch!(level, simd => {
-                    let at = |v: [f64; 4]| f64x4::simd_from(simd, v);
-                    let first = [at(of(&|(_, a)| a.first.into())), at(of(&|(_, a)| a.top.into()))];
-                    let x = [at(place(0, 0)), at(place(1, 0)), at(place(2, 0))];
-                    let y = [at(place(0, 1)), at(place(1, 1)), at(place(2, 1))];
-                    let columns = i32x4::simd_from(simd, four.map(|(_, a)| a.last - a.first + 1));
-                    Corners::new(simd, first, x, y).fill(simd, columns, &mut rows[..most as usize]);
-                });
-                for (k, (p, area)) in four.iter().enumerate() {
-                    if clockwise(*p).is_some() {
-                        hits += check(area, *p, &rows, k, simd::name(level));
-                        drawn += 1;
-                    }
+                let rows = rows(level, &four, within);
+                for (k, &(p, area)) in four.iter().enumerate().filter(|(_, (p, _))| clockwise(*p).is_some()) {
+                    hits += check(area, p, &rows, k, simd::name(level));
+                    drawn += 1;
                 }
             }
-            for (p, area) in four.iter().filter(|(p, _)| clockwise(*p).is_some()) {
+            for &(p, area) in four.iter().filter(|(p, _)| clockwise(*p).is_some()) {
                 let mut rows = [Row::default(); TILE];
-                fill_one(area, *p, &mut rows);
-                check(area, *p, &rows, 0, "one");
+                assert!(fill_one(AT, area, p, &mut rows) || check(area, p, &rows, 0, "one") == 0);
+                check(area, p, &rows, 0, "one");
             }
         }
         assert!(drawn > 60_000 && hits > 1_000_000, "{drawn} {hits}");
     }
 
-    /// Steep and flat edges of the greatest length whose crossings are nearest to centers.
+    /// Edges of the greatest length, steep, flat and aslant: their crossings come nearest to centers.
     #[test]
     fn crossings_next_to_centers_fall_on_their_side() {
         let mut rng = SplitMix64::new(22);
-        for _ in 0..40_000 {
-            let wide = SMALL - 1 - rng.int(0, 40) as i32;
-            let high = SMALL - 1 - rng.int(0, 40) as i32;
+        let mut hits = 0;
+        for _ in 0..20_000 {
+            let (wide, high) = (SMALL - 1 - rng.int(0, 40) as i32, SMALL - 1 - rng.int(0, 40) as i32);
             let (x, y) = (rng.int(-255, 255) as i32, rng.int(-255, 255) as i32);
-            let far = [[x + wide, y + rng.int(0, 300) as i32], [x + rng.int(0, 300) as i32, y + high]];
+            let far = [
+                [x + wide, y + rng.int(0, 300) as i32],
+                [x + rng.int(0, 300) as i32, y + high],
+                [x + wide, y + high],
+            ];
             let third = [x + rng.int(0, wide.into()) as i32, y + rng.int(0, high.into()) as i32];
-            let corners = [[[x, y], far[0], third], [[x, y], far[1], third], [[x, y], [x + wide, y + high], third]];
-            for corners in corners {
-                let Some(p) = clockwise(corners) else { continue };
+            for far in far {
+                let Some(p) = clockwise([[x, y], far, third]) else { continue };
                 let Some(area) = area(p, [0, 0]) else { continue };
+                hits += check(area, p, &rows(simd::best(), &[(p, area); 4], 0.0), 3, "four");
                 let mut rows = [Row::default(); TILE];
-                dispatch!(simd::best(), simd => {
-                    let at = |v: f64| f64x4::splat(simd, v);
-                    let x = [at(f64::from(p[0][0]) / 256.0), at(f64::from(p[1][0]) / 256.0), at(f64::from(p[2][0]) / 256.0)];
-                    let y = [at(f64::from(p[0][1]) / 256.0), at(f64::from(p[1][1]) / 256.0), at(f64::from(p[2][1]) / 256.0)];
-                    let columns = i32x4::splat(simd, area.last - area.first + 1);
-                    let first = [at(area.first.into()), at(area.top.into())];
-                    Corners::new(simd, first, x, y).fill(simd, columns, &mut rows);
-                });
-                check(&area, p, &rows, 3, "four");
-                fill_one(&area, p, &mut rows);
-                check(&area, p, &rows, 0, "one");
+                assert!(fill_one(AT, area, p, &mut rows));
+                check(area, p, &rows, 0, "one");
             }
         }
+        assert!(hits > 10_000_000, "{hits}");
     }
 }
