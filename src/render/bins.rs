@@ -43,6 +43,30 @@ pub(super) struct Chunk {
     wide_tiles: Option<[usize; 4]>,
 }
 
+/// The records of a tile.
+pub(super) struct Records<'a> {
+    all: &'a [Record],
+    listed: u32,
+    wide: &'a [u32],
+}
+
+impl<'a> Iterator for Records<'a> {
+    type Item = &'a Record;
+
+    #[inline(always)]
+    fn next(&mut self) -> Option<&'a Record> {
+        if let [first, rest @ ..] = self.wide
+            && *first < self.listed
+        {
+            self.wide = rest;
+            return self.all.get(*first as usize);
+        }
+        let record = self.all.get(self.listed as usize)?;
+        self.listed = record.next;
+        Some(record)
+    }
+}
+
 /// What stays the same for all triangles of a chunk.
 struct Sorting<'a> {
     view: &'a View<'a>,
@@ -142,19 +166,9 @@ impl Chunk {
     }
 
     /// The records that may touch the tile, in submission order.
-    pub fn records_of(&self, tile: usize) -> impl Iterator<Item = &Record> {
-        let (mut listed, mut wide) = (self.heads[tile], self.wide.as_slice());
-        std::iter::from_fn(move || {
-            if let [first, rest @ ..] = wide
-                && *first < listed
-            {
-                wide = rest;
-                return self.records.get(*first as usize);
-            }
-            let record = self.records.get(listed as usize)?;
-            listed = record.next;
-            Some(record)
-        })
+    #[inline(always)]
+    pub fn records_of(&self, tile: usize) -> Records<'_> {
+        Records { all: &self.records, listed: self.heads[tile], wide: &self.wide }
     }
 
     /// Sorts the chunk's triangles into records and tiles.

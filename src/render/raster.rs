@@ -8,10 +8,10 @@
 //! in the same pass. Runs are as wide as the machine's vectors: no value depends on where they begin.
 
 use super::View;
-use super::bins::Chunk;
+use super::bins::{Chunk, Records};
 use super::record::{Bounds, Extent, Record};
 use super::run::{Line, Pixels, Run};
-use super::setup::{ANY, BOTH, PLAIN, STRIP, Setup, Triangle};
+use super::setup::{ANY, BOTH, PLAIN, STRIP, Setup, Tile, Triangle};
 use super::slopes::{Slope, Slopes, Weights};
 use super::sort::LITTLE;
 use super::spans;
@@ -30,70 +30,97 @@ pub(super) fn draw_tile(
     slot: &mut Slot,
 ) -> bool {
     slot.clear(view.channels, view.nothing);
-    let Channels { light, normals, uv, colors, surfaces, second, phantoms } = view.channels;
+    let Channels { light, normals, uv, colors, surfaces, second, phantoms, flat: _ } = view.channels;
     let Some(pixels) = &mut Pixels::of(slot, view.channels) else { return false };
-    match (second, normals || !light, uv || colors || surfaces || phantoms) {
-        (false, false, false) => draw_records::<PLAIN>(level, view, chunks, tile, pixels),
-        (true, _, false) => draw_records::<BOTH>(level, view, chunks, tile, pixels),
-        _ => draw_records::<ANY>(level, view, chunks, tile, pixels),
-    }
     let rect = view.shot.grid.rect(tile);
+    let bounds = [rect.x0, rect.y0, rect.x1 - 1, rect.y1 - 1].map(|v| v as i32);
+    let (pen, walk) = (Tile { view, bounds }, Walk::new(view, chunks, tile));
+    match (second, normals || !light, uv || colors || surfaces || phantoms) {
+        (false, false, false) => {
+            dispatch!(level, simd => draw_records::<_, PLAIN>(simd, &pen, walk, pixels))
+        }
+        (true, _, false) => dispatch!(level, simd => draw_records::<_, BOTH>(simd, &pen, walk, pixels)),
+        _ => dispatch!(level, simd => draw_records::<_, ANY>(simd, &pen, walk, pixels)),
+    }
     let mut rows = slot.w.chunks_exact(STRIDE).take(rect.y1 - rect.y0);
     let most = |row: &[f32]| row.iter().fold(0, |most, w| w.to_bits().max(most));
     rows.any(|row| most(&row[..rect.x1 - rect.x0]) > view.nothing.to_bits())
 }
 
-/// The tile at hand.
-struct Tile<'a> {
+/// The triangles of a tile, those of all chunks in order.
+struct Walk<'a> {
     view: &'a View<'a>,
-    /// Its pixels: left, top, right, bottom, inclusive.
-    bounds: [i32; 4],
+    chunks: std::slice::Iter<'a, Chunk>,
+    tile: usize,
+    chunk: &'a Chunk,
+    places: &'a [Vertex],
+    records: Records<'a>,
 }
 
-fn draw_records<const MODE: u8>(
-    level: Level,
-    view: &View<'_>,
-    chunks: &[Chunk],
-    tile: usize,
+impl<'a> Walk<'a> {
+    fn new(view: &'a View<'a>, chunks: &'a [Chunk], tile: usize) -> Option<Self> {
+        let mut chunks = chunks.iter();
+        let chunk = chunks.find(|chunk| chunk.holds(tile))?;
+        let mut walk = Self { view, chunks, tile, chunk, places: &[], records: chunk.records_of(tile) };
+        walk.enter(chunk);
+        Some(walk)
+    }
+
+    fn enter(&mut self, chunk: &'a Chunk) {
+        self.chunk = chunk;
+        self.places = &self.view.vertices.places[self.view.instances[chunk.instance].first_vertex..];
+        self.records = chunk.records_of(self.tile);
+    }
+
+    #[inline(always)]
+    fn next(&mut self) -> Option<Triangle<'a>> {
+        loop {
+            if let Some(record) = self.records.next() {
+                let piece = record.extent == Extent::Piece;
+                let places = if piece { &self.chunk.own.places } else { self.places };
+                let triangle = Triangle::new(self.chunk, record, places);
+                if triangle.is_some() {
+                    return triangle;
+                }
+            } else {
+                let tile = self.tile;
+                let chunk = self.chunks.find(|chunk| chunk.holds(tile))?;
+                self.enter(chunk);
+            }
+        }
+    }
+}
+
+/// Draws small triangles four at a time, one after the other, and all others singly.
+#[inline(always)]
+fn draw_records<S: Simd, const MODE: u8>(
+    simd: S,
+    tile: &Tile<'_>,
+    walk: Option<Walk<'_>>,
     pixels: &mut Pixels<'_>,
 ) {
-    let rect = view.shot.grid.rect(tile);
-    let pen = Tile { view, bounds: [rect.x0, rect.y0, rect.x1 - 1, rect.y1 - 1].map(|v| v as i32) };
-    let (nobody, nowhere) = (Chunk::default(), Vertex::default());
-    let blank = Triangle { record: &Record::NONE, chunk: &nobody, places: [&nowhere; 3] };
-    let (mut four, mut count) = ([blank; 4], 0);
-    let mut setup = Setup::default();
-    let mut draw = |four: &[Triangle<'_>; 4], count| {
-        dispatch!(level, simd => draw_four::<_, MODE>(simd, &pen, four, count, &mut setup, pixels));
-    };
-    for chunk in chunks {
-        if !chunk.holds(tile) {
+    let Some(mut walk) = walk else { return };
+    let Some(first) = walk.next() else { return };
+    let (mut four, mut next, mut setup) = ([first; 4], Some(first), Setup::default());
+    while let Some(triangle) = next {
+        if triangle.record.extent != Extent::Small {
+            draw_large::<S, MODE>(simd, tile, &triangle, &mut setup, pixels);
+            next = walk.next();
             continue;
         }
-        let places = &view.vertices.places[view.instances[chunk.instance].first_vertex..];
-        for record in chunk.records_of(tile) {
-            let alone = record.extent != Extent::Small;
-            let places = if record.extent == Extent::Piece { &chunk.own.places } else { places };
-            let Some(triangle) = Triangle::new(chunk, record, places) else { continue };
-            if alone && count > 0 {
-                draw(&four, count);
-                count = 0;
-            }
-            let waiting = &mut four[count % 4];
-            (waiting.record, waiting.chunk, waiting.places) = (triangle.record, chunk, triangle.places);
+        let mut count = 0;
+        while let (Some(triangle), Some(place)) = (next, four.get_mut(count))
+            && triangle.record.extent == Extent::Small
+        {
+            *place = triangle;
             count += 1;
-            if alone || count == four.len() {
-                draw(&four, count);
-                count = 0;
-            }
+            next = walk.next();
         }
-    }
-    if count > 0 {
-        draw(&four, count);
+        draw_four::<S, MODE>(simd, tile, &four, count, &mut setup, pixels);
     }
 }
 
-/// Draws the first `count` of four small triangles, one after the other; or a single one that is not small.
+/// Draws the first `count` of four small triangles, one after the other.
 #[inline(always)]
 fn draw_four<S: Simd, const MODE: u8>(
     simd: S,
@@ -104,17 +131,13 @@ fn draw_four<S: Simd, const MODE: u8>(
     pixels: &mut Pixels<'_>,
 ) {
     let [p, q, r, s] = four;
-    if p.record.extent != Extent::Small {
-        return draw_large::<S, MODE>(simd, tile, p, setup, pixels);
-    }
     let areas = [p.record.bounds, q.record.bounds, r.record.bounds, s.record.bounds];
     let known = |triangle: &Triangle<'_>| triangle.record.cover != 0;
     let spans = !(known(p) && known(q) && known(r) && known(s));
-    let [left, top, ..] = tile.bounds;
-    setup.fill::<S, MODE>(simd, [left, top], four, areas, spans);
+    setup.fill::<S, MODE>(simd, tile, four, areas, spans);
     for (k, triangle) in four.iter().enumerate().take(count) {
         if setup.steep >> k & 1 == 1 {
-            draw_large::<S, MODE>(simd, tile, triangle, &mut Setup::default(), pixels);
+            draw_steep::<S, MODE>(simd, tile, triangle, pixels);
         } else if triangle.record.cover != 0 {
             draw_little::<S, MODE>(simd, tile, triangle, setup, k, pixels);
         } else {
@@ -123,7 +146,37 @@ fn draw_four<S: Simd, const MODE: u8>(
     }
 }
 
-/// Large triangles, those made by cutting and steep ones.
+/// Steep small triangles: four strips at a time.
+#[inline(never)]
+fn draw_steep<S: Simd, const MODE: u8>(
+    simd: S,
+    tile: &Tile<'_>,
+    triangle: &Triangle<'_>,
+    pixels: &mut Pixels<'_>,
+) {
+    let [left, top, right, bottom] = triangle.record.bounds.sides();
+    let mut setup = Setup::default();
+    for first in (left..=right).step_by(4 * STRIP as usize) {
+        let mut areas = [Bounds::default(); 4];
+        for (area, first) in areas.iter_mut().zip((first..).step_by(STRIP as usize)) {
+            // one after the last is narrow and not drawn
+            let first = first.min(right);
+            *area = Bounds::new([first, top, right.min(first + STRIP - 1), bottom]);
+        }
+        let count = ((right - first) / STRIP + 1).min(4) as usize;
+        simd.vectorize(
+            #[inline(always)]
+            || {
+                setup.fill::<S, MODE>(simd, tile, &[*triangle; 4], areas, true);
+                for k in 0..count {
+                    draw_rows::<S, MODE>(simd, tile, triangle, &setup, k, pixels);
+                }
+            },
+        );
+    }
+}
+
+/// Large triangles and those made by cutting; steep ones in strips.
 #[inline(never)]
 fn draw_large<S: Simd, const MODE: u8>(
     simd: S,
@@ -147,7 +200,7 @@ fn draw_large<S: Simd, const MODE: u8>(
         simd.vectorize(
             #[inline(always)]
             || {
-                setup.fill::<S, MODE>(simd, [left, top], &[*triangle; 4], [area; 4], false);
+                setup.fill::<S, MODE>(simd, tile, &[*triangle; 4], [area; 4], false);
                 if setup.steep == 0 {
                     draw_rows::<S, MODE>(simd, tile, triangle, setup, 0, pixels);
                 }

@@ -176,13 +176,17 @@ impl Sheets<'_> {
             let [r, g, b] = &mut self.color;
             let gray = palette.gray().zip(slot.attributes.first());
             let colors = r.rows(rect).zip(g.rows(rect)).zip(b.rows(rect));
-            for (y, (depth, ((r, g), b))) in self.depth.rows(rect).zip(colors).enumerate() {
-                let part = y * STRIDE..(y + 1) * STRIDE;
-                match gray {
-                    Some((gray, light)) => {
-                        gray.shade_row(simd, [&slot.w[part.clone()], &light[part]], depth, [r, g, b]);
+            let rows = self.depth.rows(rect).zip(colors);
+            if let Some((gray, light)) = gray {
+                let from = slot.w.chunks_exact(STRIDE).zip(light.chunks_exact(STRIDE));
+                for ((w, light), (depth, ((r, g), b))) in from.zip(rows) {
+                    if let (Some(w), Some(light)) = (w.first_chunk(), light.first_chunk()) {
+                        gray.shade_row(simd, [w, light], depth, [r, g, b]);
                     }
-                    None => shade_row(simd, palette, slot, y, depth, [r, g, b]),
+                }
+            } else {
+                for (y, (depth, ((r, g), b))) in rows.enumerate() {
+                    shade_row(simd, palette, slot, y, depth, [r, g, b]);
                 }
             }
         }

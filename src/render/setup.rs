@@ -26,6 +26,13 @@ pub(super) const PLAIN: u8 = 0;
 pub(super) const BOTH: u8 = 1;
 pub(super) const ANY: u8 = 2;
 
+/// The tile at hand.
+pub(super) struct Tile<'a> {
+    pub view: &'a View<'a>,
+    /// Its pixels: left, top, right, bottom, inclusive.
+    pub bounds: [i32; 4],
+}
+
 /// A triangle to draw.
 #[derive(Clone, Copy)]
 pub(super) struct Triangle<'a> {
@@ -157,17 +164,19 @@ impl Default for Setup {
 }
 
 impl Setup {
-    /// Sets up four triangles over areas within the tile that begins at `corner`; what of their rows is covered only
-    /// where `spans` are wanted, and of small ones.
+    /// Sets up four triangles over areas within the tile; what of their rows is covered only where `spans` are wanted,
+    /// and of small ones.
     #[inline(always)]
     pub fn fill<S: Simd, const MODE: u8>(
         &mut self,
         simd: S,
-        corner: [i32; 2],
+        tile: &Tile<'_>,
         four: &[Triangle<'_>; 4],
         areas: [Bounds; 4],
         spans: bool,
     ) {
+        let flat = tile.view.channels.flat;
+        let [corner_x, corner_y, ..] = tile.bounds;
         let of = |v: f64| f64x4::splat(simd, v);
         let whole = |v: i32| i32x4::splat(simd, v);
         let (a, b, c) = (corners(simd, four, 0), corners(simd, four, 1), corners(simd, four, 2));
@@ -177,7 +186,7 @@ impl Setup {
         let (left, top) = (low & whole(0xffff), low >> 16);
         let columns = (high & whole(0xffff)) - left;
         let heights = (high >> 16) - top + whole(1);
-        let at = top * whole(STRIDE as i32) + left - whole(corner[1] * STRIDE as i32 + corner[0]);
+        let at = top * whole(STRIDE as i32) + left - whole(corner_y * STRIDE as i32 + corner_x);
         at.store_slice(&mut self.at);
         heights.store_slice(&mut self.heights);
         let corner = [wide(simd, left.to_float()), wide(simd, top.to_float())];
@@ -188,6 +197,8 @@ impl Setup {
         if MODE != BOTH {
             // over z; of flat faces intensity itself
             light = weights.slopes([a[3] * a[2], b[3] * b[2], c[3] * c[2]]);
+        }
+        if MODE != BOTH && flat {
             let faces = [four[0].record.face, four[1].record.face, four[2].record.face, four[3].record.face];
             let faces = widen(simd, faces);
             let flat = faces.simd_ge(of(0.0));

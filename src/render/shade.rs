@@ -197,25 +197,34 @@ impl Gray {
     pub fn shade_row<S: Simd>(
         &self,
         simd: S,
-        [w, light]: [&[f32]; 2],
+        [w, light]: [&[f32; TILE]; 2],
         depth: &mut [f32],
         [r, g, b]: [&mut [u8]; 3],
     ) {
+        if let (Ok(z), Ok(r), Ok(g), Ok(b)) = (depth.try_into(), r.try_into(), g.try_into(), b.try_into()) {
+            return self.shade_whole(simd, [w, light], z, [r, g, b]);
+        }
+        let (mut z, [mut red, mut green, mut blue]) = ([0.0; TILE], [[0; TILE]; 3]);
+        self.shade_whole(simd, [w, light], &mut z, [&mut red, &mut green, &mut blue]);
+        depth.copy_from_slice(&z[..depth.len()]);
+        for (out, levels) in [r, g, b].into_iter().zip([red, green, blue]) {
+            out.copy_from_slice(&levels[..out.len()]);
+        }
+    }
+
+    #[inline(always)]
+    fn shade_whole<S: Simd>(
+        &self,
+        simd: S,
+        [w, light]: [&[f32; TILE]; 2],
+        depth: &mut [f32; TILE],
+        [r, g, b]: [&mut [u8; TILE]; 3],
+    ) {
         let from = w.as_chunks().0.iter().zip(light.as_chunks().0);
-        let (z, rest_z) = depth.as_chunks_mut();
-        let ((r, rest_r), (g, rest_g), (b, rest_b)) = (r.as_chunks_mut(), g.as_chunks_mut(), b.as_chunks_mut());
-        let whole = z.len();
-        for ((((from, z), r), g), b) in from.clone().zip(z).zip(r).zip(g).zip(b) {
+        let colors = r.as_chunks_mut().0.iter_mut().zip(g.as_chunks_mut().0).zip(b.as_chunks_mut().0);
+        for ((from, z), ((r, g), b)) in from.zip(depth.as_chunks_mut().0).zip(colors) {
             self.shade(simd, from, z, r);
             (*g, *b) = (*r, *r);
-        }
-        if let (false, Some(from)) = (rest_z.is_empty(), from.clone().nth(whole)) {
-            let (mut z, mut levels) = ([0.0; WIDE], [0; WIDE]);
-            self.shade(simd, from, &mut z, &mut levels);
-            rest_z.copy_from_slice(&z[..rest_z.len()]);
-            for rest in [rest_r, rest_g, rest_b] {
-                rest.copy_from_slice(&levels[..rest.len()]);
-            }
         }
     }
 

@@ -34,8 +34,9 @@ struct Edge<S: Simd> {
     down: f32x4<S>,
     /// Turns that into columns up to where it crosses the row.
     across: f32x4<S>,
-    /// All bits set where pixels are to the right of it.
+    /// Where pixels are to the right of it: they may end where `after` says, else anywhere.
     left: mask32x4<S>,
+    after: f32x4<S>,
 }
 
 impl<S: Simd> Corners<S> {
@@ -49,8 +50,9 @@ impl<S: Simd> Corners<S> {
         ])
     }
 
+    /// Of areas that end before the column `after`.
     #[inline(always)]
-    fn edge(&self, simd: S, k: usize) -> Edge<S> {
+    fn edge(&self, simd: S, k: usize, after: f32x4<S>) -> Edge<S> {
         let (zero, one) = (i32x4::splat(simd, 0), i32x4::splat(simd, 1));
         let Self(corners) = self;
         let ([x, y], [next_x, next_y]) = (corners[k], corners[(k + 1) % 3]);
@@ -62,20 +64,24 @@ impl<S: Simd> Corners<S> {
         let (start, down, back): (f32x4<S>, f32x4<S>, f32x4<S>) =
             (start.to_float(), down.to_float(), (zero - right).to_float());
         // along the row: infinite, with the sign of its function, and never a left edge
-        Edge { here: start + 0.5, down, across: f32x4::splat(simd, 1.0) / back, left }
+        let across = f32x4::splat(simd, 1.0) / back;
+        let after = left.select(after, f32x4::splat(simd, f32::MIN));
+        Edge { here: start + 0.5, down, across, left, after }
     }
 
     /// Finds the covered pixels of the rows, `at` being the area's first one and `columns` how many it has in a row; of
     /// small triangles only.
     #[inline(always)]
     pub fn fill(&self, simd: S, mut at: i32x4<S>, columns: i32x4<S>, rows: &mut [Row]) {
-        let (mut p, mut q, mut r) = (self.edge(simd, 0), self.edge(simd, 1), self.edge(simd, 2));
-        let before = f32x4::splat(simd, 0.0);
         let after = columns.to_float::<f32x4<S>>() + 0.5;
+        let (mut p, mut q) = (self.edge(simd, 0, after), self.edge(simd, 1, after));
+        let mut r = self.edge(simd, 2, after);
+        let before = f32x4::splat(simd, 0.0);
         for row in rows {
             let (s, t, u) = (p.here * p.across, q.here * q.across, r.here * r.across);
             let low = p.left.select(s, before).max(q.left.select(t, before)).max(r.left.select(u, before));
-            let high = p.left.select(after, s).min(q.left.select(after, t)).min(r.left.select(after, u));
+            // left of a left edge that is after the area there is nothing anyhow
+            let high = s.max(p.after).min(t.max(q.after)).min(u.max(r.after));
             // neither is below 0
             let (first, end) = (low.to_int::<i32x4<S>>(), high.max(low).to_int::<i32x4<S>>());
             (at + first).store_slice(&mut row.at);
