@@ -210,16 +210,17 @@ impl Chunk {
                 }
                 let front = sorted.front >> k & 1 == 1;
                 let corners = if front { [a, c, b] } else { [a, b, c] };
-                let bounds = Bounds { low: sorted.lows[k], high: sorted.highs[k] };
+                let (bounds, tile, cover) = sorted.one(k);
                 let (mut surface, mut face) = (sorting.surface, -1.0);
                 if !sorting.plain {
                     (surface, face) = sorting.kind(first + k, [a, b, c]);
                 }
-                let (cover, extent) = (sorted.covers[k] as u16, Extent::Small);
-                let record = Record { corners, surface, face, bounds, cover, extent, next: NONE };
-                match sorted.tiles[k] {
-                    SEVERAL => self.list(&record),
-                    tile => self.append(record, tile as usize),
+                let extent = Extent::Small;
+                if tile == SEVERAL {
+                    self.list(&Record { corners, surface, face, bounds, cover, extent, next: NONE });
+                } else {
+                    let record = Record { corners, surface, face, bounds, cover, extent, next: NONE };
+                    self.append(record, tile as usize);
                 }
             }
             first += BATCH;
@@ -303,14 +304,23 @@ impl Chunk {
             self.wide_tiles = Some([a.min(x0), b.min(y0), c.max(x1), d.max(y1)]);
             return;
         }
-        for row in y0..=y1 {
-            for column in x0..=x1 {
-                let (x, y) = ((column * TILE) as i32, (row * TILE) as i32);
-                let part = record.cut([x, y, x + (TILE as i32 - 1), y + (TILE as i32 - 1)]);
-                if record.cover == 0 || part.cover != 0 {
-                    self.append(part, row * self.columns + column);
-                }
+        let (across, down) = (x1 > x0, y1 > y0);
+        let mut put = |column: usize, row: usize| {
+            let (x, y) = ((column * TILE) as i32, (row * TILE) as i32);
+            let part = record.cut([x, y, x + (TILE as i32 - 1), y + (TILE as i32 - 1)]);
+            if record.cover == 0 || part.cover != 0 {
+                self.append(part, row * self.columns + column);
             }
+        };
+        put(x0, y0);
+        if across {
+            put(x1, y0);
+        }
+        if down {
+            put(x0, y1);
+        }
+        if across && down {
+            put(x1, y1);
         }
     }
 
@@ -343,5 +353,6 @@ fn shape(p: [Spot; 3], sorting: &Sorting<'_>) -> Option<([usize; 3], Bounds)> {
     let right = (x0.max(x1).max(x2) >> 8).min(size.width as i64 - 1);
     let bottom = (y0.max(y1).max(y2) >> 8).min(size.height as i64 - 1);
     let wound = if area < 0 { [0, 2, 1] } else { [0, 1, 2] };
-    (left <= right && top <= bottom).then(|| (wound, Bounds::new([left, top, right, bottom].map(|v| v as i32))))
+    (left <= right && top <= bottom)
+        .then(|| (wound, Bounds::new([left, top, right, bottom].map(|v| v as i32))))
 }

@@ -285,6 +285,8 @@ impl Renderer {
                 plane.fill(0.0);
             }
         }
+        self.layer.object.resize(when(needs.includes(Needs::OBJECT)), 0);
+        self.layer.object.fill(0);
         self.layer.silhouette.resize(when(needs.includes(Needs::SILHOUETTE)), 0);
         self.layer.silhouette.fill(0);
         let grid = TileGrid::new(size);

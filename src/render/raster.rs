@@ -134,7 +134,7 @@ fn draw_four<S: Simd, const MODE: u8>(
     let areas = [p.record.bounds, q.record.bounds, r.record.bounds, s.record.bounds];
     let known = |triangle: &Triangle<'_>| triangle.record.cover != 0;
     let spans = !(known(p) && known(q) && known(r) && known(s));
-    setup.fill::<S, MODE>(simd, tile, four, areas, spans);
+    setup.fill::<S, MODE>(simd, tile, four, &areas, spans);
     for (k, triangle) in four.iter().enumerate().take(count) {
         if setup.steep >> k & 1 == 1 {
             draw_steep::<S, MODE>(simd, tile, triangle, pixels);
@@ -167,7 +167,7 @@ fn draw_steep<S: Simd, const MODE: u8>(
         simd.vectorize(
             #[inline(always)]
             || {
-                setup.fill::<S, MODE>(simd, tile, &[*triangle; 4], areas, true);
+                setup.fill::<S, MODE>(simd, tile, &[*triangle; 4], &areas, true);
                 for k in 0..count {
                     draw_rows::<S, MODE>(simd, tile, triangle, &setup, k, pixels);
                 }
@@ -200,7 +200,7 @@ fn draw_large<S: Simd, const MODE: u8>(
         simd.vectorize(
             #[inline(always)]
             || {
-                setup.fill::<S, MODE>(simd, tile, &[*triangle; 4], [area; 4], false);
+                setup.fill::<S, MODE>(simd, tile, &[*triangle; 4], &[area; 4], false);
                 if setup.steep == 0 {
                     draw_rows::<S, MODE>(simd, tile, triangle, setup, 0, pixels);
                 }

@@ -35,6 +35,7 @@ impl Painter<'_> {
             depth2: Sheet::of(&mut layer.depth2),
             normal: layer.normal.each_mut().map(Sheet::of),
             normal2: layer.normal2.each_mut().map(Sheet::of),
+            object: Sheet::of(&mut layer.object),
             shield: shield.map(Sheet::of).unwrap_or_default(),
         };
         self.rows(grid, 0, sheets, slots);
@@ -132,6 +133,7 @@ struct Sheets<'a> {
     depth2: Sheet<'a, f32>,
     normal: [Sheet<'a, f32>; 3],
     normal2: [Sheet<'a, f32>; 3],
+    object: Sheet<'a, u16>,
     shield: Sheet<'a, f32>,
 }
 
@@ -144,17 +146,27 @@ impl Sheets<'_> {
         }
         let (depth, depth2, shield) =
             (self.depth.split(rows), self.depth2.split(rows), self.shield.split(rows));
+        let (object, more_object) = self.object.split(rows);
         let [above, below] = three(self.color, rows);
         let [normal, more] = three(self.normal, rows);
         let [normal2, more2] = three(self.normal2, rows);
         (
-            Self { color: above, depth: depth.0, depth2: depth2.0, normal, normal2, shield: shield.0 },
+            Self {
+                color: above,
+                depth: depth.0,
+                depth2: depth2.0,
+                normal,
+                normal2,
+                object,
+                shield: shield.0,
+            },
             Self {
                 color: below,
                 depth: depth.1,
                 depth2: depth2.1,
                 normal: more,
                 normal2: more2,
+                object: more_object,
                 shield: shield.1,
             },
         )
@@ -164,6 +176,7 @@ impl Sheets<'_> {
         self.color.iter_mut().for_each(|sheet| sheet.fill(rect, 0));
         self.depth.fill(rect, f32::INFINITY);
         self.depth2.fill(rect, f32::INFINITY);
+        self.object.fill(rect, 0);
         self.normal.iter_mut().chain(&mut self.normal2).for_each(|sheet| sheet.fill(rect, 0.0));
     }
 
@@ -190,6 +203,7 @@ impl Sheets<'_> {
                 }
             }
         }
+        self.write_objects(palette, slot, rect);
         let first = palette.channels.normal_at();
         if let (false, [x, y, z, ..]) = (self.normal[0].samples.is_empty(), &slot.attributes[first..]) {
             write_normals(&slot.w, nothing, [x, y, z], &mut self.normal, rect);
@@ -198,6 +212,26 @@ impl Sheets<'_> {
             self.depth2.write_depth(&slot.w2, nothing, rect);
             let [x, y, z] = &slot.normal2;
             write_normals(&slot.w2, nothing, [x, y, z], &mut self.normal2, rect);
+        }
+    }
+}
+
+impl Sheets<'_> {
+    /// The models that the pixels show.
+    #[inline(always)]
+    fn write_objects(&mut self, palette: &Palette<'_>, slot: &Slot, rect: Rect) {
+        let model = |surface: i32| palette.surfaces.get(surface as usize).map_or(0, |s| s.model as u16 + 1);
+        let of_all = model(0);
+        for (y, row) in self.object.rows(rect).enumerate() {
+            let part = y * STRIDE..y * STRIDE + row.len();
+            for (out, &w) in row.iter_mut().zip(&slot.w[part.clone()]) {
+                *out = if w > palette.nothing { of_all } else { 0 };
+            }
+            if palette.channels.surfaces {
+                for (out, &surface) in row.iter_mut().zip(&slot.surface[part]).filter(|(out, _)| **out != 0) {
+                    *out = model(surface);
+                }
+            }
         }
     }
 }

@@ -166,13 +166,28 @@ impl Default for Setup {
 impl Setup {
     /// Sets up four triangles over areas within the tile; what of their rows is covered only where `spans` are wanted,
     /// and of small ones.
-    #[inline(always)]
+    #[inline(never)]
     pub fn fill<S: Simd, const MODE: u8>(
         &mut self,
         simd: S,
         tile: &Tile<'_>,
         four: &[Triangle<'_>; 4],
-        areas: [Bounds; 4],
+        areas: &[Bounds; 4],
+        spans: bool,
+    ) {
+        simd.vectorize(
+            #[inline(always)]
+            || self.fill_here::<S, MODE>(simd, tile, four, areas, spans),
+        );
+    }
+
+    #[inline(always)]
+    fn fill_here<S: Simd, const MODE: u8>(
+        &mut self,
+        simd: S,
+        tile: &Tile<'_>,
+        four: &[Triangle<'_>; 4],
+        areas: &[Bounds; 4],
         spans: bool,
     ) {
         let flat = tile.view.channels.flat;

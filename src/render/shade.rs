@@ -23,6 +23,8 @@ pub(super) enum Kind {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Surface {
     pub kind: Kind,
+    /// Index of its model in the scene.
+    pub model: usize,
     /// Base color times 255.
     color: [f32; 3],
     /// Share of light that reaches every surface.
@@ -61,7 +63,7 @@ impl Surface {
             let color = (color * light.tint).to_array().map(|v| share(v) * 255.0);
             let ambient = if kind == Kind::ThreeSteps { 0.0 } else { share(light.ambient) };
             let colored = !model.mesh.colors.is_empty();
-            Surface { kind, color, ambient, ramp, texture, wrap, colored }
+            Surface { kind, model: index, color, ambient, ramp, texture, wrap, colored }
         };
         for (k, material) in model.mesh.materials.iter().enumerate() {
             let textured = material.texture.as_ref().is_some_and(|t| t.size().area() > 0);

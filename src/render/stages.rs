@@ -230,7 +230,7 @@ fn channels(needs: Needs, surfaces: &[Surface]) -> Channels {
         normals: second || needs.includes(Needs::NORMAL) || (color && any(|s| s.kind == Kind::ThreeSteps)),
         uv: color && any(Surface::is_textured),
         colors: color && any(Surface::is_colored),
-        surfaces: color && surfaces.len() > 1,
+        surfaces: (color || needs.includes(Needs::OBJECT)) && surfaces.len() > 1,
         second,
         phantoms: any(|s| s.kind == Kind::Phantom),
     }
@@ -251,7 +251,8 @@ fn possible(scene: &Scene, look: &Look) -> Channels {
         normals: second || look.needs.includes(Needs::NORMAL) || (color && steps),
         uv: color && any(|m| m.mesh.materials.iter().any(|material| material.texture.is_some())),
         colors: color && any(|m| !m.mesh.colors.is_empty()),
-        surfaces: color && (scene.models.len() > 1 || any(|m| !m.mesh.materials.is_empty())),
+        surfaces: (color || look.needs.includes(Needs::OBJECT))
+            && (scene.models.len() > 1 || any(|m| !m.mesh.materials.is_empty())),
         second,
         phantoms: any(|m| m.phantom),
     }
