@@ -135,13 +135,39 @@ fn draw_four<S: Simd, const MODE: u8>(
     let known = |triangle: &Triangle<'_>| triangle.record.cover != 0;
     let spans = !(known(p) && known(q) && known(r) && known(s));
     setup.fill::<S, MODE>(simd, tile, four, &areas, spans);
+    if setup.steep | setup.slivers != 0 {
+        return draw_odd::<S, MODE>(simd, tile, &four[..count], setup, pixels);
+    }
     for (k, triangle) in four.iter().enumerate().take(count) {
-        if setup.steep >> k & 1 == 1 {
-            draw_steep::<S, MODE>(simd, tile, triangle, pixels);
-        } else if triangle.record.cover != 0 {
+        if triangle.record.cover != 0 {
             draw_little::<S, MODE>(simd, tile, triangle, setup, k, pixels);
         } else {
-            draw_rows::<S, MODE>(simd, tile, triangle, setup, k, pixels);
+            draw_rows::<S, MODE, false>(simd, tile, triangle, setup, k, pixels);
+        }
+    }
+}
+
+/// Small triangles with steep ones or slivers among them.
+#[inline(never)]
+fn draw_odd<S: Simd, const MODE: u8>(
+    simd: S,
+    tile: &Tile<'_>,
+    four: &[Triangle<'_>],
+    setup: &Setup,
+    pixels: &mut Pixels<'_>,
+) {
+    for (k, triangle) in four.iter().enumerate() {
+        if setup.steep >> k & 1 == 1 {
+            draw_steep::<S, MODE>(simd, tile, triangle, pixels);
+        } else {
+            simd.vectorize(
+                #[inline(always)]
+                || match triangle.record.cover {
+                    0 => draw_rows::<S, MODE, true>(simd, tile, triangle, setup, k, pixels),
+                    _ if setup.slivers >> k & 1 == 1 => draw_sliver::<S, MODE>(simd, tile, triangle, pixels),
+                    _ => draw_little::<S, MODE>(simd, tile, triangle, setup, k, pixels),
+                },
+            );
         }
     }
 }
@@ -169,7 +195,7 @@ fn draw_steep<S: Simd, const MODE: u8>(
             || {
                 setup.fill::<S, MODE>(simd, tile, &[*triangle; 4], &areas, true);
                 for k in 0..count {
-                    draw_rows::<S, MODE>(simd, tile, triangle, &setup, k, pixels);
+                    draw_rows::<S, MODE, true>(simd, tile, triangle, &setup, k, pixels);
                 }
             },
         );
@@ -202,7 +228,7 @@ fn draw_large<S: Simd, const MODE: u8>(
             || {
                 setup.fill::<S, MODE>(simd, tile, &[*triangle; 4], &[area; 4], false);
                 if setup.steep == 0 {
-                    draw_rows::<S, MODE>(simd, tile, triangle, setup, 0, pixels);
+                    draw_rows::<S, MODE, true>(simd, tile, triangle, setup, 0, pixels);
                 }
                 setup.steep == 0
             },
@@ -293,7 +319,20 @@ const LANES: [i32; STRIDE - TILE] = [0, 1, 2, 3, 4, 5, 6, 7];
 /// The bits of a little box's first row, a lane each; lanes outside have bits that never are.
 const COVER: [i32; STRIDE - TILE] = [1, 2, 4, 8, 1 << 30, 1 << 30, 1 << 30, 1 << 30];
 
-/// Draws a triangle whose covered pixels are known.
+/// A little sliver: by its rows, as any other.
+#[inline(always)]
+fn draw_sliver<S: Simd, const MODE: u8>(
+    simd: S,
+    tile: &Tile<'_>,
+    triangle: &Triangle<'_>,
+    pixels: &mut Pixels<'_>,
+) {
+    let mut setup = Setup::default();
+    setup.fill::<S, MODE>(simd, tile, &[*triangle; 4], &[triangle.record.bounds; 4], true);
+    draw_rows::<S, MODE, true>(simd, tile, triangle, &setup, 0, pixels);
+}
+
+/// Draws a triangle whose covered pixels are known; no sliver.
 #[inline(always)]
 fn draw_little<S: Simd, const MODE: u8>(
     simd: S,
@@ -304,19 +343,18 @@ fn draw_little<S: Simd, const MODE: u8>(
     pixels: &mut Pixels<'_>,
 ) {
     let (k, pixels) = (k % 4, &mut pixels.again());
+    if MODE == PLAIN && !pixels.has_light() {
+        return;
+    }
     let mut cover = i32::from(triangle.record.cover);
     let bits = S::i32s::from_slice(simd, &COVER[..S::i32s::LEN]);
     let xs: S::f32s = S::i32s::from_slice(simd, &LANES[..S::i32s::LEN]).to_float();
     let w_across = xs * S::f32s::simd_from(simd, setup.w_right[k]);
-    let sliver = setup.slivers >> k & 1 == 1;
     let ink = Ink::new::<MODE>(simd, tile, triangle, setup, k);
     let mut at = setup.at[k] as usize;
     for (y, row) in setup.rows.iter().enumerate() {
         let inside = (S::i32s::simd_from(simd, cover) & bits).simd_eq(bits);
-        let mut here = S::f32s::simd_from(simd, row.w[k]) + w_across;
-        if sliver {
-            here = triangle.kept_near(simd, here);
-        }
+        let here = S::f32s::simd_from(simd, row.w[k]) + w_across;
         let run = Run { at, inside, here, xs, y: y as i32 };
         ink.draw::<MODE>(simd, &run, row.light[k], triangle.record, tile.view.channels, pixels);
         (cover, at) = (cover >> LITTLE, at + STRIDE);
@@ -326,9 +364,9 @@ fn draw_little<S: Simd, const MODE: u8>(
     }
 }
 
-/// Draws what its rows know of a triangle.
+/// Draws what its rows know of a triangle; only one that may be `ODD` is a sliver.
 #[inline(always)]
-fn draw_rows<S: Simd, const MODE: u8>(
+fn draw_rows<S: Simd, const MODE: u8, const ODD: bool>(
     simd: S,
     tile: &Tile<'_>,
     triangle: &Triangle<'_>,
@@ -337,11 +375,14 @@ fn draw_rows<S: Simd, const MODE: u8>(
     pixels: &mut Pixels<'_>,
 ) {
     let (k, pixels) = (k % 4, &mut pixels.again());
+    if MODE == PLAIN && !pixels.has_light() {
+        return;
+    }
     let length = S::f32s::LEN as i32;
     let lanes = S::i32s::from_slice(simd, &LANES[..S::i32s::LEN]);
     let first_xs: S::f32s = lanes.to_float();
     let w_right = S::f32s::simd_from(simd, setup.w_right[k]);
-    let sliver = setup.slivers >> k & 1 == 1;
+    let sliver = ODD && setup.slivers >> k & 1 == 1;
     let ink = Ink::new::<MODE>(simd, tile, triangle, setup, k);
     for (y, row) in setup.rows[..(setup.heights[k] as usize).min(TILE)].iter().enumerate() {
         let mut left = row.count[k];

@@ -38,6 +38,12 @@ impl<'a> Pixels<'a> {
 }
 
 impl Pixels<'_> {
+    /// Whether light is kept.
+    #[inline(always)]
+    pub fn has_light(&self) -> bool {
+        self.light.is_some()
+    }
+
     /// The same for a while: in a place of its own, of which a loop keeps in registers what it needs.
     #[inline(always)]
     pub fn again(&mut self) -> Pixels<'_> {

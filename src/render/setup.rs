@@ -237,8 +237,11 @@ impl Setup {
         narrow(simd, w.right).store_slice(&mut self.w_right);
         narrow(simd, light.right).store_slice(&mut self.light_right);
         let (across, along) = weights.steepness();
-        self.slivers = (across + along).simd_gt(of(SLIVER)).to_bitmask();
-        self.steep = 0;
+        let sliver = (across + along).simd_gt(of(SLIVER));
+        (self.slivers, self.steep) = (0, 0);
+        if sliver.any_true() {
+            self.slivers = sliver.to_bitmask();
+        }
         let broad = columns.simd_ge(whole(STRIP));
         if broad.any_true() {
             let (width, least) = (wide(simd, columns.to_float()), a[2].min(b[2]).min(c[2]));
