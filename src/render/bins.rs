@@ -305,22 +305,24 @@ impl Chunk {
             return;
         }
         let (across, down) = (x1 > x0, y1 > y0);
-        let mut put = |column: usize, row: usize| {
-            let (x, y) = ((column * TILE) as i32, (row * TILE) as i32);
-            let part = record.cut([x, y, x + (TILE as i32 - 1), y + (TILE as i32 - 1)]);
-            if record.cover == 0 || part.cover != 0 {
-                self.append(part, row * self.columns + column);
-            }
-        };
-        put(x0, y0);
+        self.list_part(record, x0, y0);
         if across {
-            put(x1, y0);
+            self.list_part(record, x1, y0);
         }
         if down {
-            put(x0, y1);
+            self.list_part(record, x0, y1);
         }
         if across && down {
-            put(x1, y1);
+            self.list_part(record, x1, y1);
+        }
+    }
+
+    #[inline(always)]
+    fn list_part(&mut self, record: &Record, column: usize, row: usize) {
+        let (x, y) = ((column * TILE) as i32, (row * TILE) as i32);
+        let part = record.cut([x, y, x + (TILE as i32 - 1), y + (TILE as i32 - 1)]);
+        if record.cover == 0 || part.cover != 0 {
+            self.append(part, row * self.columns + column);
         }
     }
 

@@ -101,7 +101,8 @@ fn draw_records<S: Simd, const MODE: u8>(
 ) {
     let Some(mut walk) = walk else { return };
     let Some(first) = walk.next() else { return };
-    let (mut four, mut next, mut setup) = ([first; 4], Some(first), Setup::default());
+    let (mut four, mut next) = ([first; 4], Some(first));
+    let (mut setup, mut spare) = (Setup::default(), Setup::default());
     while let Some(triangle) = next {
         if triangle.record.extent != Extent::Small {
             draw_large::<S, MODE>(simd, tile, &triangle, &mut setup, pixels);
@@ -116,7 +117,7 @@ fn draw_records<S: Simd, const MODE: u8>(
             count += 1;
             next = walk.next();
         }
-        draw_four::<S, MODE>(simd, tile, &four, count, &mut setup, pixels);
+        draw_four::<S, MODE>(simd, tile, &four, count, [&mut setup, &mut spare], pixels);
     }
 }
 
@@ -127,7 +128,7 @@ fn draw_four<S: Simd, const MODE: u8>(
     tile: &Tile<'_>,
     four: &[Triangle<'_>; 4],
     count: usize,
-    setup: &mut Setup,
+    [setup, spare]: [&mut Setup; 2],
     pixels: &mut Pixels<'_>,
 ) {
     let [p, q, r, s] = four;
@@ -136,7 +137,7 @@ fn draw_four<S: Simd, const MODE: u8>(
     let spans = !(known(p) && known(q) && known(r) && known(s));
     setup.fill::<S, MODE>(simd, tile, four, &areas, spans);
     if setup.steep | setup.slivers != 0 {
-        return draw_odd::<S, MODE>(simd, tile, &four[..count], setup, pixels);
+        return draw_odd::<S, MODE>(simd, tile, &four[..count], setup, spare, pixels);
     }
     for (k, triangle) in four.iter().enumerate().take(count) {
         if triangle.record.cover != 0 {
@@ -154,17 +155,20 @@ fn draw_odd<S: Simd, const MODE: u8>(
     tile: &Tile<'_>,
     four: &[Triangle<'_>],
     setup: &Setup,
+    spare: &mut Setup,
     pixels: &mut Pixels<'_>,
 ) {
     for (k, triangle) in four.iter().enumerate() {
         if setup.steep >> k & 1 == 1 {
-            draw_steep::<S, MODE>(simd, tile, triangle, pixels);
+            draw_steep::<S, MODE>(simd, tile, triangle, spare, pixels);
         } else {
             simd.vectorize(
                 #[inline(always)]
                 || match triangle.record.cover {
                     0 => draw_rows::<S, MODE, true>(simd, tile, triangle, setup, k, pixels),
-                    _ if setup.slivers >> k & 1 == 1 => draw_sliver::<S, MODE>(simd, tile, triangle, pixels),
+                    _ if setup.slivers >> k & 1 == 1 => {
+                        draw_sliver::<S, MODE>(simd, tile, triangle, spare, pixels)
+                    }
                     _ => draw_little::<S, MODE>(simd, tile, triangle, setup, k, pixels),
                 },
             );
@@ -178,10 +182,10 @@ fn draw_steep<S: Simd, const MODE: u8>(
     simd: S,
     tile: &Tile<'_>,
     triangle: &Triangle<'_>,
+    setup: &mut Setup,
     pixels: &mut Pixels<'_>,
 ) {
     let [left, top, right, bottom] = triangle.record.bounds.sides();
-    let mut setup = Setup::default();
     for first in (left..=right).step_by(4 * STRIP as usize) {
         let mut areas = [Bounds::default(); 4];
         for (area, first) in areas.iter_mut().zip((first..).step_by(STRIP as usize)) {
@@ -195,7 +199,7 @@ fn draw_steep<S: Simd, const MODE: u8>(
             || {
                 setup.fill::<S, MODE>(simd, tile, &[*triangle; 4], &areas, true);
                 for k in 0..count {
-                    draw_rows::<S, MODE, true>(simd, tile, triangle, &setup, k, pixels);
+                    draw_rows::<S, MODE, true>(simd, tile, triangle, setup, k, pixels);
                 }
             },
         );
@@ -325,11 +329,11 @@ fn draw_sliver<S: Simd, const MODE: u8>(
     simd: S,
     tile: &Tile<'_>,
     triangle: &Triangle<'_>,
+    setup: &mut Setup,
     pixels: &mut Pixels<'_>,
 ) {
-    let mut setup = Setup::default();
     setup.fill::<S, MODE>(simd, tile, &[*triangle; 4], &[triangle.record.bounds; 4], true);
-    draw_rows::<S, MODE, true>(simd, tile, triangle, &setup, 0, pixels);
+    draw_rows::<S, MODE, true>(simd, tile, triangle, setup, 0, pixels);
 }
 
 /// Draws a triangle whose covered pixels are known; no sliver.
