@@ -1,7 +1,7 @@
-//! One tile: walk the records of all chunks in order, a run of pixels at a time. Small triangles are set up four at a
-//! time; of those in little boxes the covered pixels are known, all others walk their rows.
+//! One tile: walk the records of all chunks in order. Small triangles are set up four at a time; of those in little
+//! boxes the covered pixels are known, of all others what is covered in each row (`spans`). It is drawn a run of pixels
+//! at a time.
 //!
-//! Coverage is exact: integer edge functions of the snapped corners, the fill rule folded into the constant.
 //! 1/z and attributes over z of the unsnapped corners are evaluated in f64 at the start of every row and stepped in
 //! f32 along it. Where they are so steep that the steps would round badly the triangle is drawn in strips of eight
 //! pixels, so that the error is that of seven steps however large it is. Nearest and second-nearest surface are kept

@@ -3,7 +3,7 @@
 use super::tile::{Channels, STRIDE, Slot};
 use crate::pixels::{Rgb, TILE};
 use crate::scene::{Light, Model, Scene, Shading, Wrap};
-use fearless_simd::{Simd, SimdBase, SimdFrom, f32x8, i32x8, mask32x8, prelude::*};
+use fearless_simd::{Simd, SimdBase, SimdFrom, f32x8, i32x8, prelude::*};
 use glam::Vec3;
 
 /// How intensity is found on a surface.
@@ -28,7 +28,7 @@ pub(super) struct Surface {
     /// Base color times 255.
     color: [f32; 3],
     /// Share of light that reaches every surface.
-    ambient: f32,
+    pub(super) ambient: f32,
     /// The toon ramp.
     ramp: [f32; 32],
     /// Where its texture is, model and material, and how it goes on past its edges.
@@ -118,7 +118,7 @@ pub(super) struct Palette<'a> {
 }
 
 /// Pixels that are shaded together.
-const RUN: usize = 8;
+pub(super) const RUN: usize = 8;
 
 /// Depth and color of one row of a tile, as long as the outputs are; 64 pixels at most.
 #[inline(always)]
@@ -173,100 +173,9 @@ pub(super) fn shade_row<S: Simd>(
     }
 }
 
-/// The common case, one smooth surface without color: its ambient share and gray.
-#[derive(Clone, Copy)]
-pub(super) struct Gray {
-    ambient: f32,
-    gray: f32,
-    /// 1/z that stands for no surface.
-    nothing: f32,
-}
-
-/// Pixels whose levels are one vector of bytes.
-const WIDE: usize = 16;
-
-impl Palette<'_> {
-    /// The common case, where it is one.
-    pub fn gray(&self) -> Option<Gray> {
-        let ([surface], false) = (self.surfaces, self.channels.surfaces) else { return None };
-        Some(Gray { ambient: surface.ambient, gray: surface.gray()?, nothing: self.nothing })
-    }
-}
-
-impl Gray {
-    /// What `shade_row` does.
-    #[inline(always)]
-    pub fn shade_row<S: Simd>(
-        &self,
-        simd: S,
-        [w, light]: [&[f32; TILE]; 2],
-        depth: &mut [f32],
-        [r, g, b]: [&mut [u8]; 3],
-    ) {
-        if let (Ok(z), Ok(r), Ok(g), Ok(b)) = (depth.try_into(), r.try_into(), g.try_into(), b.try_into()) {
-            return self.shade_whole(simd, [w, light], z, [r, g, b]);
-        }
-        let (mut z, [mut red, mut green, mut blue]) = ([0.0; TILE], [[0; TILE]; 3]);
-        self.shade_whole(simd, [w, light], &mut z, [&mut red, &mut green, &mut blue]);
-        depth.copy_from_slice(&z[..depth.len()]);
-        for (out, levels) in [r, g, b].into_iter().zip([red, green, blue]) {
-            out.copy_from_slice(&levels[..out.len()]);
-        }
-    }
-
-    #[inline(always)]
-    fn shade_whole<S: Simd>(
-        &self,
-        simd: S,
-        [w, light]: [&[f32; TILE]; 2],
-        depth: &mut [f32; TILE],
-        [r, g, b]: [&mut [u8; TILE]; 3],
-    ) {
-        let from = w.as_chunks().0.iter().zip(light.as_chunks().0);
-        let colors = r.as_chunks_mut().0.iter_mut().zip(g.as_chunks_mut().0).zip(b.as_chunks_mut().0);
-        for ((from, z), ((r, g), b)) in from.zip(depth.as_chunks_mut().0).zip(colors) {
-            self.shade(simd, from, z, r);
-            (*g, *b) = (*r, *r);
-        }
-    }
-
-    #[inline(always)]
-    fn shade<S: Simd>(
-        &self,
-        simd: S,
-        (w, light): (&[f32; WIDE], &[f32; WIDE]),
-        depth: &mut [f32; WIDE],
-        levels: &mut [u8; WIDE],
-    ) {
-        let nothing = f32x8::splat(simd, self.nothing);
-        let (w0, w1) = (load(simd, w, 0), load(simd, w, RUN));
-        let (covered0, covered1) = (w0.simd_gt(nothing), w1.simd_gt(nothing));
-        if (covered0 | covered1).all_false() {
-            (*depth, *levels) = ([f32::INFINITY; WIDE], [0; WIDE]);
-            return;
-        }
-        let (one, infinite) = (f32x8::splat(simd, 1.0), f32x8::splat(simd, f32::INFINITY));
-        let (z0, z1) = (one / w0, one / w1);
-        covered0.select(z0, infinite).store_slice(&mut depth[..RUN]);
-        covered1.select(z1, infinite).store_slice(&mut depth[RUN..]);
-        let level0 = self.level(simd, load(simd, light, 0) * z0, covered0);
-        let level1 = self.level(simd, load(simd, light, RUN) * z1, covered1);
-        let ((a, b), (c, d)) = (simd.split_i32x8(level0), simd.split_i32x8(level1));
-        let (low, high) = (simd.relaxed_narrow_i32x4(a, b), simd.relaxed_narrow_i32x4(c, d));
-        simd.relaxed_narrow_u16x8(low.bitcast(), high.bitcast()).store_slice(levels);
-    }
-
-    #[inline(always)]
-    fn level<S: Simd>(&self, simd: S, light: f32x8<S>, covered: mask32x8<S>) -> i32x8<S> {
-        let light = f32x8::splat(simd, self.ambient)
-            + f32x8::splat(simd, 1.0 - self.ambient) * unit_range(simd, light);
-        covered.select(to_level(simd, light, self.gray), i32x8::splat(simd, 0))
-    }
-}
-
 impl Surface {
     /// The base color of a smooth surface that has no other colors than grays.
-    fn gray(&self) -> Option<f32> {
+    pub(super) fn gray(&self) -> Option<f32> {
         let [r, g, b] = self.color;
         let plain = self.kind == Kind::Smooth && self.texture.is_none() && !self.colored;
         (plain && r == g && g == b).then_some(r)
@@ -343,19 +252,19 @@ impl Surface {
 }
 
 #[inline(always)]
-fn load<S: Simd>(simd: S, plane: &[f32], at: usize) -> f32x8<S> {
+pub(super) fn load<S: Simd>(simd: S, plane: &[f32], at: usize) -> f32x8<S> {
     f32x8::from_slice(simd, &plane[at..at + RUN])
 }
 
 /// Light times base color, rounded to a whole level.
 #[inline(always)]
-fn to_level<S: Simd>(simd: S, light: f32x8<S>, base: f32) -> i32x8<S> {
+pub(super) fn to_level<S: Simd>(simd: S, light: f32x8<S>, base: f32) -> i32x8<S> {
     (light * f32x8::splat(simd, base) + f32x8::splat(simd, 0.5)).to_int()
 }
 
 /// Clamped to 0..1; not-a-number becomes 0.
 #[inline(always)]
-fn unit_range<S: Simd>(simd: S, v: f32x8<S>) -> f32x8<S> {
+pub(super) fn unit_range<S: Simd>(simd: S, v: f32x8<S>) -> f32x8<S> {
     let (zero, one) = (f32x8::splat(simd, 0.0), f32x8::splat(simd, 1.0));
     let v = v.simd_gt(zero).select(v, zero);
     v.simd_lt(one).select(v, one)
