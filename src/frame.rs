@@ -102,6 +102,8 @@ impl Needs {
     pub const PARTICLES: Needs = Needs(32);
     /// Secondary models drawn on their own, apart from the others: depth and normal.
     pub const SECONDARY: Needs = Needs(64);
+    /// Which model each pixel shows.
+    pub const OBJECT: Needs = Needs(128);
 
     /// Both.
     pub const fn and(self, other: Needs) -> Needs {
@@ -151,6 +153,8 @@ pub struct Layer {
     pub depth2: Plane<f32>,
     /// Second-nearest normal, 0 where there is none.
     pub normal2: [Plane<f32>; 3],
+    /// Which of the scene's models is nearest, counted from 1; 0 outside the models.
+    pub object: Plane<u16>,
     /// Thick outlines of the models: 255 on a visible line, else 0.
     pub silhouette: Plane<u8>,
     /// The secondary models alone, their depth and normal; they are then in no other product.

@@ -34,6 +34,9 @@ pub struct Args {
     /// Also write the second-nearest surface: PREFIX_depth2.f32, PREFIX_normal2.f32
     #[arg(long)]
     peel: bool,
+    /// Also write where the model is nearest: PREFIX_object.u16, 1 there and 0 elsewhere
+    #[arg(long)]
+    objects: bool,
     /// Which faces are dropped; front = counter-clockwise as seen
     #[arg(long, value_enum, default_value_t = Cull::None)]
     cull: Cull,
@@ -117,6 +120,7 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     let mut renderer = Renderer::new(simd::best());
     let peel = if args.peel { Needs::SECOND_LAYER } else { Needs::NOTHING };
     let outputs = Needs::COLOR.and(Needs::DEPTH).and(Needs::NORMAL).and(peel);
+    let objects = if args.objects { Needs::OBJECT } else { Needs::NOTHING };
     let ms = pool.install(|| {
         let timed = if args.peel { outputs } else { Needs::COLOR.and(Needs::DEPTH) };
         let mut once = || {
@@ -131,8 +135,8 @@ pub fn run(args: Args) -> anyhow::Result<()> {
         }
         (0..repeats).map(|_| once()).collect::<Vec<_>>()
     });
-    let layer = pool.install(|| renderer.draw(&scene, &placed, &camera, outputs));
-    write(layer, &args.out, args.peel)?;
+    let layer = pool.install(|| renderer.draw(&scene, &placed, &camera, outputs.and(objects)));
+    write(layer, &args.out, args.peel, args.objects)?;
 
     let report = Report { model: &name, vertices, triangles, threads: args.threads, ms };
     if args.json {
@@ -193,30 +197,37 @@ fn read_camera(path: &Path) -> anyhow::Result<(Camera, DAffine3)> {
     Ok((Camera { lens, near: file.near, far: file.far }, to_camera))
 }
 
-fn write(layer: &Layer, prefix: &Path, peel: bool) -> anyhow::Result<()> {
+fn write(layer: &Layer, prefix: &Path, peel: bool, objects: bool) -> anyhow::Result<()> {
     let path = |ending: &str| {
         let mut path = prefix.as_os_str().to_owned();
         path.push(ending);
         PathBuf::from(path)
     };
     picture::write_png(&path("_color.png"), &layer.color)?;
-    write_raw(&path("_depth.f32"), &[&layer.depth])?;
-    write_raw(&path("_normal.f32"), &layer.normal.each_ref())?;
+    write_raw(&path("_depth.f32"), &[&layer.depth], f32::to_le_bytes)?;
+    write_raw(&path("_normal.f32"), &layer.normal.each_ref(), f32::to_le_bytes)?;
     if peel {
-        write_raw(&path("_depth2.f32"), &[&layer.depth2])?;
-        write_raw(&path("_normal2.f32"), &layer.normal2.each_ref())?;
+        write_raw(&path("_depth2.f32"), &[&layer.depth2], f32::to_le_bytes)?;
+        write_raw(&path("_normal2.f32"), &layer.normal2.each_ref(), f32::to_le_bytes)?;
+    }
+    if objects {
+        write_raw(&path("_object.u16"), &[&layer.object], u16::to_le_bytes)?;
     }
     Ok(())
 }
 
 /// Writes planes of one size pixel by pixel, their samples side by side.
-fn write_raw(path: &Path, planes: &[&Plane<f32>]) -> anyhow::Result<()> {
+fn write_raw<T: Copy, const N: usize>(
+    path: &Path,
+    planes: &[&Plane<T>],
+    bytes_of: fn(T) -> [u8; N],
+) -> anyhow::Result<()> {
     let size = planes[0].size();
-    let mut bytes = Vec::with_capacity(size.area() * planes.len() * 4);
+    let mut bytes = Vec::with_capacity(size.area() * planes.len() * N);
     for y in 0..size.height {
         for x in 0..size.width {
             for plane in planes {
-                bytes.extend(plane.at(x, y).to_le_bytes());
+                bytes.extend(bytes_of(plane.at(x, y)));
             }
         }
     }

@@ -52,6 +52,8 @@ pub struct Plan {
     pub silhouettes: Step,
     /// Secondary models apart from the others.
     pub secondary: Step,
+    /// Which model each pixel shows.
+    pub objects: Step,
     /// The models as points.
     pub particles: Step,
     /// Filter the picture.
@@ -183,6 +185,11 @@ impl Plan {
                     false => "the scene has no secondary model",
                 },
             ),
+            objects: part(
+                Needs::OBJECT,
+                "the style tells models apart",
+                "the style does not tell models apart",
+            ),
             particles: part(
                 Needs::PARTICLES,
                 "the style draws particles",
@@ -229,6 +236,7 @@ impl fmt::Display for Plan {
             ("  second layer", self.second_layer),
             ("  silhouettes", self.silhouettes),
             ("  secondary", self.secondary),
+            ("  which model", self.objects),
             ("  particles", self.particles),
             ("filter picture", self.style),
             ("anchor pattern", self.anchor),

@@ -6,7 +6,7 @@
 //! records at once, large ones and those to be cut go the long way.
 
 use super::clip::{self, Corner};
-use super::record::{Extent, NONE, Record};
+use super::record::{Bounds, Extent, NONE, Record};
 use super::shape::{CLUSTER, Frustum, Shape};
 use super::sort::{BATCH, Rules, SEVERAL, SMALL, Sorted};
 use super::vertex::{NO_SPOT, Spot, Vertices, normal_matrix, unit};
@@ -41,6 +41,30 @@ pub(super) struct Chunk {
     wide: Vec<u32>,
     /// Tiles under all wide triangles together: column and row ranges, inclusive.
     wide_tiles: Option<[usize; 4]>,
+}
+
+/// The records of a tile.
+pub(super) struct Records<'a> {
+    all: &'a [Record],
+    listed: u32,
+    wide: &'a [u32],
+}
+
+impl<'a> Iterator for Records<'a> {
+    type Item = &'a Record;
+
+    #[inline(always)]
+    fn next(&mut self) -> Option<&'a Record> {
+        if let [first, rest @ ..] = self.wide
+            && *first < self.listed
+        {
+            self.wide = rest;
+            return self.all.get(*first as usize);
+        }
+        let record = self.all.get(self.listed as usize)?;
+        self.listed = record.next;
+        Some(record)
+    }
 }
 
 /// What stays the same for all triangles of a chunk.
@@ -103,7 +127,7 @@ impl<'a> Sorting<'a> {
         (surface, unit(normals * (b - a).cross(c - a)).dot(light).max(0.0) as f32)
     }
 
-    fn record(&self, triangle: usize, corners: [u32; 3], bounds: [i16; 4]) -> Record {
+    fn record(&self, triangle: usize, corners: [u32; 3], bounds: Bounds) -> Record {
         let (surface, face) = self.kind(triangle, corners);
         Record { corners, surface, face, bounds, ..Record::NONE }
     }
@@ -142,19 +166,9 @@ impl Chunk {
     }
 
     /// The records that may touch the tile, in submission order.
-    pub fn records_of(&self, tile: usize) -> impl Iterator<Item = &Record> {
-        let (mut listed, mut wide) = (self.heads[tile], self.wide.as_slice());
-        std::iter::from_fn(move || {
-            if let [first, rest @ ..] = wide
-                && *first < listed
-            {
-                wide = rest;
-                return self.records.get(*first as usize);
-            }
-            let record = self.records.get(listed as usize)?;
-            listed = record.next;
-            Some(record)
-        })
+    #[inline(always)]
+    pub fn records_of(&self, tile: usize) -> Records<'_> {
+        Records { all: &self.records, listed: self.heads[tile], wide: &self.wide }
     }
 
     /// Sorts the chunk's triangles into records and tiles.
@@ -196,17 +210,17 @@ impl Chunk {
                 }
                 let front = sorted.front >> k & 1 == 1;
                 let corners = if front { [a, c, b] } else { [a, b, c] };
-                let bounds = [sorted.lows[k], sorted.lows[k] >> 16, sorted.highs[k], sorted.highs[k] >> 16];
-                let bounds = bounds.map(|v| v as i16);
+                let (bounds, tile, cover) = sorted.one(k);
                 let (mut surface, mut face) = (sorting.surface, -1.0);
                 if !sorting.plain {
                     (surface, face) = sorting.kind(first + k, [a, b, c]);
                 }
-                let (cover, extent) = (sorted.covers[k] as u16, Extent::Small);
-                let record = Record { corners, surface, face, bounds, cover, extent, next: NONE };
-                match sorted.tiles[k] {
-                    SEVERAL => self.list(&record),
-                    tile => self.append(record, tile as usize),
+                let extent = Extent::Small;
+                if tile == SEVERAL {
+                    self.list(&Record { corners, surface, face, bounds, cover, extent, next: NONE });
+                } else {
+                    let record = Record { corners, surface, face, bounds, cover, extent, next: NONE };
+                    self.append(record, tile as usize);
                 }
             }
             first += BATCH;
@@ -247,7 +261,7 @@ impl Chunk {
     /// The rare way: cut and split first.
     fn cut(&mut self, sorting: &Sorting<'_>, triangle: usize, corners: [u32; 3]) {
         let Sorting { view, instance, mesh, .. } = sorting;
-        let whole = sorting.record(triangle, corners, [0; 4]);
+        let whole = sorting.record(triangle, corners, Bounds::default());
         let cut = corners.map(|c| {
             let (c, index) = (c as usize, instance.first_vertex + c as usize);
             let normal = view.vertices.normals.get(index).copied().unwrap_or_default();
@@ -282,7 +296,7 @@ impl Chunk {
     /// Adds what of a record is in them to its tiles.
     #[inline(never)]
     fn list(&mut self, record: &Record) {
-        let [x0, y0, x1, y1] = record.bounds.map(|v| v as usize / TILE);
+        let [x0, y0, x1, y1] = record.bounds.sides().map(|v| v as usize / TILE);
         if x1 - x0 >= MAX_LISTED || y1 - y0 >= MAX_LISTED {
             self.wide.push(self.records.len() as u32);
             self.records.push(*record);
@@ -290,14 +304,25 @@ impl Chunk {
             self.wide_tiles = Some([a.min(x0), b.min(y0), c.max(x1), d.max(y1)]);
             return;
         }
-        for row in y0..=y1 {
-            for column in x0..=x1 {
-                let (x, y) = ((column * TILE) as i16, (row * TILE) as i16);
-                let part = record.cut([x, y, x + (TILE as i16 - 1), y + (TILE as i16 - 1)]);
-                if record.cover == 0 || part.cover != 0 {
-                    self.append(part, row * self.columns + column);
-                }
-            }
+        let (across, down) = (x1 > x0, y1 > y0);
+        self.list_part(record, x0, y0);
+        if across {
+            self.list_part(record, x1, y0);
+        }
+        if down {
+            self.list_part(record, x0, y1);
+        }
+        if across && down {
+            self.list_part(record, x1, y1);
+        }
+    }
+
+    #[inline(always)]
+    fn list_part(&mut self, record: &Record, column: usize, row: usize) {
+        let (x, y) = ((column * TILE) as i32, (row * TILE) as i32);
+        let part = record.cut([x, y, x + (TILE as i32 - 1), y + (TILE as i32 - 1)]);
+        if record.cover == 0 || part.cover != 0 {
+            self.append(part, row * self.columns + column);
         }
     }
 
@@ -316,7 +341,7 @@ impl Chunk {
 
 /// Which of the corners comes first, second and third, and the pixels they bound; `None` when no pixel center is
 /// covered or the triangle faces away.
-fn shape(p: [Spot; 3], sorting: &Sorting<'_>) -> Option<([usize; 3], [i16; 4])> {
+fn shape(p: [Spot; 3], sorting: &Sorting<'_>) -> Option<([usize; 3], Bounds)> {
     let [[x0, y0], [x1, y1], [x2, y2]] = p.map(|spot| spot.map(i64::from));
     let area = (x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0);
     // positive = clockwise as seen, the back
@@ -330,5 +355,6 @@ fn shape(p: [Spot; 3], sorting: &Sorting<'_>) -> Option<([usize; 3], [i16; 4])> 
     let right = (x0.max(x1).max(x2) >> 8).min(size.width as i64 - 1);
     let bottom = (y0.max(y1).max(y2) >> 8).min(size.height as i64 - 1);
     let wound = if area < 0 { [0, 2, 1] } else { [0, 1, 2] };
-    (left <= right && top <= bottom).then(|| (wound, [left, top, right, bottom].map(|v| v as i16)))
+    (left <= right && top <= bottom)
+        .then(|| (wound, Bounds::new([left, top, right, bottom].map(|v| v as i32))))
 }

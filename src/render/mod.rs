@@ -4,11 +4,11 @@
 //! 2. `clip`: only triangles that cross the near plane, leave the lens's field or bend in it are cut (f64).
 //! 3. `bins`: what covers no pixel center dies, eight triangles at a time (`sort`); the rest is listed per 64-px
 //!    tile, chunk by chunk, in submission order, without locks.
-//! 4. `raster`: a tile's lists are walked, small triangles set up four at a time (`setup`): exact integer edges, 1/z and
-//!    attributes of the unsnapped triangle (`edges`), nearest and second-nearest surface in the same pass (`run`), into
+//! 4. `raster`: a tile's lists are walked, small triangles set up four at a time (`setup`): exact coverage (`spans`), 1/z and
+//!    attributes of the unsnapped triangle (`slopes`), nearest and second-nearest surface in the same pass (`run`), into
 //!    the tile's own pixels (`tile`).
 //! 5. `resolve`: a task a row of tiles; each tile is drawn and, while it is at hand, written into the layer, each
-//!    pixel's nearest surface shaded (`shade`); tiles covered last time only are cleared.
+//!    pixel's nearest surface shaded (`shade`, `gray`); tiles covered last time only are cleared.
 //! 6. `silhouette`: thick outlines are drawn over the depth, where they are asked for.
 //!
 //! `stages` runs 1 to 5 and owns what they need. `shape` and `kept` are for skipping: what is out of view, and a frame that would be the last one again.
@@ -21,8 +21,8 @@
 
 mod bins;
 mod clip;
-mod edges;
 mod field;
+mod gray;
 mod kept;
 mod particles;
 mod raster;
@@ -34,7 +34,9 @@ mod setup;
 mod shade;
 mod shape;
 mod silhouette;
+mod slopes;
 mod sort;
+mod spans;
 mod stages;
 mod tile;
 mod vertex;
@@ -284,6 +286,8 @@ impl Renderer {
                 plane.fill(0.0);
             }
         }
+        self.layer.object.resize(when(needs.includes(Needs::OBJECT)), 0);
+        self.layer.object.fill(0);
         self.layer.silhouette.resize(when(needs.includes(Needs::SILHOUETTE)), 0);
         self.layer.silhouette.fill(0);
         let grid = TileGrid::new(size);

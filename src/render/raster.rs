@@ -1,19 +1,20 @@
-//! One tile: walk the records of all chunks in order, a run of pixels at a time. Small triangles are set up four at a
-//! time; of those in little boxes the covered pixels are known, all others walk their rows.
+//! One tile: walk the records of all chunks in order. Small triangles are set up four at a time; of those in little
+//! boxes the covered pixels are known, of all others what is covered in each row (`spans`). It is drawn a run of pixels
+//! at a time.
 //!
-//! Coverage is exact: integer edge functions of the snapped corners, the fill rule folded into the constant.
 //! 1/z and attributes over z of the unsnapped corners are evaluated in f64 at the start of every row and stepped in
 //! f32 along it. Where they are so steep that the steps would round badly the triangle is drawn in strips of eight
 //! pixels, so that the error is that of seven steps however large it is. Nearest and second-nearest surface are kept
 //! in the same pass. Runs are as wide as the machine's vectors: no value depends on where they begin.
 
 use super::View;
-use super::bins::Chunk;
-use super::edges::{Area, Edges, Slope, Slopes, Weights};
-use super::record::{Extent, Record};
+use super::bins::{Chunk, Records};
+use super::record::{Bounds, Extent, Record};
 use super::run::{Line, Pixels, Run};
-use super::setup::{ANY, BOTH, PLAIN, STRIP, Setup, Triangle};
+use super::setup::{ANY, BOTH, PLAIN, STRIP, Setup, Tile, Triangle};
+use super::slopes::{Slope, Slopes, Weights};
 use super::sort::LITTLE;
+use super::spans;
 use super::tile::{Channels, MOST, STRIDE, Slot};
 use super::vertex::{Vertex, narrow};
 use crate::pixels::TILE;
@@ -29,133 +30,219 @@ pub(super) fn draw_tile(
     slot: &mut Slot,
 ) -> bool {
     slot.clear(view.channels, view.nothing);
-    let Channels { light, normals, uv, colors, surfaces, second, phantoms } = view.channels;
+    let Channels { light, normals, uv, colors, surfaces, second, phantoms, flat: _ } = view.channels;
     let Some(pixels) = &mut Pixels::of(slot, view.channels) else { return false };
-    match (second, normals || !light, uv || colors || surfaces || phantoms) {
-        (false, false, false) => draw_records::<PLAIN>(level, view, chunks, tile, pixels),
-        (true, _, false) => draw_records::<BOTH>(level, view, chunks, tile, pixels),
-        _ => draw_records::<ANY>(level, view, chunks, tile, pixels),
-    }
     let rect = view.shot.grid.rect(tile);
+    let bounds = [rect.x0, rect.y0, rect.x1 - 1, rect.y1 - 1].map(|v| v as i32);
+    let (pen, walk) = (Tile { view, bounds }, Walk::new(view, chunks, tile));
+    match (second, normals || !light, uv || colors || surfaces || phantoms) {
+        (false, false, false) => {
+            dispatch!(level, simd => draw_records::<_, PLAIN>(simd, &pen, walk, pixels))
+        }
+        (true, _, false) => dispatch!(level, simd => draw_records::<_, BOTH>(simd, &pen, walk, pixels)),
+        _ => dispatch!(level, simd => draw_records::<_, ANY>(simd, &pen, walk, pixels)),
+    }
     let mut rows = slot.w.chunks_exact(STRIDE).take(rect.y1 - rect.y0);
     let most = |row: &[f32]| row.iter().fold(0, |most, w| w.to_bits().max(most));
     rows.any(|row| most(&row[..rect.x1 - rect.x0]) > view.nothing.to_bits())
 }
 
-/// The tile at hand.
-struct Tile<'a> {
+/// The triangles of a tile, those of all chunks in order.
+struct Walk<'a> {
     view: &'a View<'a>,
-    /// Its pixels: left, top, right, bottom, inclusive.
-    bounds: [i32; 4],
+    chunks: std::slice::Iter<'a, Chunk>,
+    tile: usize,
+    chunk: &'a Chunk,
+    places: &'a [Vertex],
+    records: Records<'a>,
 }
 
-fn draw_records<const MODE: u8>(
-    level: Level,
-    view: &View<'_>,
-    chunks: &[Chunk],
-    tile: usize,
+impl<'a> Walk<'a> {
+    fn new(view: &'a View<'a>, chunks: &'a [Chunk], tile: usize) -> Option<Self> {
+        let mut chunks = chunks.iter();
+        let chunk = chunks.find(|chunk| chunk.holds(tile))?;
+        let mut walk = Self { view, chunks, tile, chunk, places: &[], records: chunk.records_of(tile) };
+        walk.enter(chunk);
+        Some(walk)
+    }
+
+    fn enter(&mut self, chunk: &'a Chunk) {
+        self.chunk = chunk;
+        self.places = &self.view.vertices.places[self.view.instances[chunk.instance].first_vertex..];
+        self.records = chunk.records_of(self.tile);
+    }
+
+    #[inline(always)]
+    fn next(&mut self) -> Option<Triangle<'a>> {
+        loop {
+            if let Some(record) = self.records.next() {
+                let piece = record.extent == Extent::Piece;
+                let places = if piece { &self.chunk.own.places } else { self.places };
+                let triangle = Triangle::new(self.chunk, record, places);
+                if triangle.is_some() {
+                    return triangle;
+                }
+            } else {
+                let tile = self.tile;
+                let chunk = self.chunks.find(|chunk| chunk.holds(tile))?;
+                self.enter(chunk);
+            }
+        }
+    }
+}
+
+/// Draws small triangles four at a time, one after the other, and all others singly.
+#[inline(always)]
+fn draw_records<S: Simd, const MODE: u8>(
+    simd: S,
+    tile: &Tile<'_>,
+    walk: Option<Walk<'_>>,
     pixels: &mut Pixels<'_>,
 ) {
-    let rect = view.shot.grid.rect(tile);
-    let pen = Tile { view, bounds: [rect.x0, rect.y0, rect.x1 - 1, rect.y1 - 1].map(|v| v as i32) };
-    let (nobody, nowhere) = (Chunk::default(), Vertex::default());
-    let blank = Triangle { record: &Record::NONE, chunk: &nobody, places: [&nowhere; 3] };
-    let (mut four, mut count) = ([blank; 4], 0);
-    let mut draw = |four: &[Triangle<'_>; 4], count| {
-        dispatch!(level, simd => draw_four::<_, MODE>(simd, &pen, four, count, pixels));
-    };
-    for chunk in chunks {
-        if !chunk.holds(tile) {
+    let Some(mut walk) = walk else { return };
+    let Some(first) = walk.next() else { return };
+    let (mut four, mut next) = ([first; 4], Some(first));
+    let (mut setup, mut spare) = (Setup::default(), Setup::default());
+    while let Some(triangle) = next {
+        if triangle.record.extent != Extent::Small {
+            draw_large::<S, MODE>(simd, tile, &triangle, &mut setup, pixels);
+            next = walk.next();
             continue;
         }
-        let places = &view.vertices.places[view.instances[chunk.instance].first_vertex..];
-        for record in chunk.records_of(tile) {
-            let alone = record.extent != Extent::Small;
-            let places = if record.extent == Extent::Piece { &chunk.own.places } else { places };
-            let Some(triangle) = Triangle::new(chunk, record, places) else { continue };
-            if alone && count > 0 {
-                draw(&four, count);
-                count = 0;
-            }
-            let waiting = &mut four[count % 4];
-            (waiting.record, waiting.chunk, waiting.places) = (triangle.record, chunk, triangle.places);
+        let mut count = 0;
+        while let (Some(triangle), Some(place)) = (next, four.get_mut(count))
+            && triangle.record.extent == Extent::Small
+        {
+            *place = triangle;
             count += 1;
-            if alone || count == four.len() {
-                draw(&four, count);
-                count = 0;
-            }
+            next = walk.next();
         }
-    }
-    if count > 0 {
-        draw(&four, count);
+        draw_four::<S, MODE>(simd, tile, &four, count, [&mut setup, &mut spare], pixels);
     }
 }
 
-#[inline(always)]
-fn whole_area(record: &Record) -> Area {
-    let [x0, y0, x1, y1] = record.bounds;
-    Area { first: x0.into(), top: y0.into(), last: x1.into(), bottom: y1.into() }
-}
-
-/// Draws the first `count` of four small triangles, one after the other; or a single one that is not small.
+/// Draws the first `count` of four small triangles, one after the other.
 #[inline(always)]
 fn draw_four<S: Simd, const MODE: u8>(
     simd: S,
     tile: &Tile<'_>,
     four: &[Triangle<'_>; 4],
     count: usize,
+    [setup, spare]: [&mut Setup; 2],
     pixels: &mut Pixels<'_>,
 ) {
     let [p, q, r, s] = four;
-    let areas = [whole_area(p.record), whole_area(q.record), whole_area(r.record), whole_area(s.record)];
-    let setup = Setup::new::<S, MODE>(simd, four, &areas);
-    for (k, (triangle, area)) in four.iter().zip(&areas).enumerate().take(count) {
-        if triangle.record.extent != Extent::Small || setup.steep >> k & 1 == 1 {
-            draw_large::<S, MODE>(simd, tile, triangle, pixels);
-        } else if triangle.record.cover != 0 && setup.slivers >> k & 1 == 0 {
-            draw_little::<S, MODE>(simd, tile, triangle, &setup, k, area, pixels);
+    let areas = [p.record.bounds, q.record.bounds, r.record.bounds, s.record.bounds];
+    let known = |triangle: &Triangle<'_>| triangle.record.cover != 0;
+    let spans = !(known(p) && known(q) && known(r) && known(s));
+    setup.fill::<S, MODE>(simd, tile, four, &areas, spans);
+    if setup.steep | setup.slivers != 0 {
+        return draw_odd::<S, MODE>(simd, tile, &four[..count], setup, spare, pixels);
+    }
+    for (k, triangle) in four.iter().enumerate().take(count) {
+        if triangle.record.cover != 0 {
+            draw_little::<S, MODE>(simd, tile, triangle, setup, k, pixels);
         } else {
-            let edges = Edges::small(simd, area, triangle.spots(tile.view));
-            draw_area::<S, MODE>(simd, tile, triangle, &setup, k, area, &edges, None, pixels);
+            draw_rows::<S, MODE, false>(simd, tile, triangle, setup, k, pixels);
         }
     }
 }
 
-/// Large triangles, those made by cutting and steep ones.
+/// Small triangles with steep ones or slivers among them.
+#[inline(never)]
+fn draw_odd<S: Simd, const MODE: u8>(
+    simd: S,
+    tile: &Tile<'_>,
+    four: &[Triangle<'_>],
+    setup: &Setup,
+    spare: &mut Setup,
+    pixels: &mut Pixels<'_>,
+) {
+    for (k, triangle) in four.iter().enumerate() {
+        if setup.steep >> k & 1 == 1 {
+            draw_steep::<S, MODE>(simd, tile, triangle, spare, pixels);
+        } else {
+            simd.vectorize(
+                #[inline(always)]
+                || match triangle.record.cover {
+                    0 => draw_rows::<S, MODE, true>(simd, tile, triangle, setup, k, pixels),
+                    _ if setup.slivers >> k & 1 == 1 => {
+                        draw_sliver::<S, MODE>(simd, tile, triangle, spare, pixels)
+                    }
+                    _ => draw_little::<S, MODE>(simd, tile, triangle, setup, k, pixels),
+                },
+            );
+        }
+    }
+}
+
+/// Steep small triangles: four strips at a time.
+#[inline(never)]
+fn draw_steep<S: Simd, const MODE: u8>(
+    simd: S,
+    tile: &Tile<'_>,
+    triangle: &Triangle<'_>,
+    setup: &mut Setup,
+    pixels: &mut Pixels<'_>,
+) {
+    let [left, top, right, bottom] = triangle.record.bounds.sides();
+    for first in (left..=right).step_by(4 * STRIP as usize) {
+        let mut areas = [Bounds::default(); 4];
+        for (area, first) in areas.iter_mut().zip((first..).step_by(STRIP as usize)) {
+            // one after the last is narrow and not drawn
+            let first = first.min(right);
+            *area = Bounds::new([first, top, right.min(first + STRIP - 1), bottom]);
+        }
+        let count = ((right - first) / STRIP + 1).min(4) as usize;
+        simd.vectorize(
+            #[inline(always)]
+            || {
+                setup.fill::<S, MODE>(simd, tile, &[*triangle; 4], &areas, true);
+                for k in 0..count {
+                    draw_rows::<S, MODE, true>(simd, tile, triangle, setup, k, pixels);
+                }
+            },
+        );
+    }
+}
+
+/// Large triangles and those made by cutting; steep ones in strips.
 #[inline(never)]
 fn draw_large<S: Simd, const MODE: u8>(
     simd: S,
     tile: &Tile<'_>,
     triangle: &Triangle<'_>,
+    setup: &mut Setup,
     pixels: &mut Pixels<'_>,
 ) {
-    let ([x0, y0, x1, y1], [left, top, right, bottom]) = (triangle.record.bounds.map(i32::from), tile.bounds);
-    let area = Area { first: x0.max(left), top: y0.max(top), last: x1.min(right), bottom: y1.min(bottom) };
-    if area.first > area.last || area.top > area.bottom {
+    let ([x0, y0, x1, y1], [left, top, right, bottom]) = (triangle.record.bounds.sides(), tile.bounds);
+    let (first, above, last, below) = (x0.max(left), y0.max(top), x1.min(right), y1.min(bottom));
+    if first > last || above > below {
         return;
     }
-    let mut draw = |area: &Area| {
-        let Some(exact) = Edges::new(area, triangle.spots(tile.view)) else { return true };
-        let (edges, wide) = match exact.narrow(area) {
-            Some(edges) => (edges, None),
-            None => (Edges::default(), Some(&exact)),
-        };
+    let spots = triangle.spots(tile.view);
+    let mut draw = |first: i32, last: i32| {
+        let at = (above - top) * STRIDE as i32 + first - left;
+        let area = Bounds::new([first, above, last, below]);
+        if !spans::fill_one(at, area, spots, &mut setup.rows) {
+            return true;
+        }
         simd.vectorize(
             #[inline(always)]
             || {
-                let setup = Setup::new::<S, MODE>(simd, &[*triangle; 4], &[*area; 4]);
+                setup.fill::<S, MODE>(simd, tile, &[*triangle; 4], &[area; 4], false);
                 if setup.steep == 0 {
-                    draw_area::<S, MODE>(simd, tile, triangle, &setup, 0, area, &edges, wide, pixels);
+                    draw_rows::<S, MODE, true>(simd, tile, triangle, setup, 0, pixels);
                 }
                 setup.steep == 0
             },
         )
     };
-    if draw(&area) {
+    if draw(first, last) {
         return;
     }
-    for first in (area.first..=area.last).step_by(STRIP as usize) {
-        draw(&Area { first, last: area.last.min(first + STRIP - 1), ..area });
+    for first in (first..=last).step_by(STRIP as usize) {
+        draw(first, last.min(first + STRIP - 1));
     }
 }
 
@@ -236,7 +323,20 @@ const LANES: [i32; STRIDE - TILE] = [0, 1, 2, 3, 4, 5, 6, 7];
 /// The bits of a little box's first row, a lane each; lanes outside have bits that never are.
 const COVER: [i32; STRIDE - TILE] = [1, 2, 4, 8, 1 << 30, 1 << 30, 1 << 30, 1 << 30];
 
-/// Draws a triangle whose covered pixels are known.
+/// A little sliver: by its rows, as any other.
+#[inline(always)]
+fn draw_sliver<S: Simd, const MODE: u8>(
+    simd: S,
+    tile: &Tile<'_>,
+    triangle: &Triangle<'_>,
+    setup: &mut Setup,
+    pixels: &mut Pixels<'_>,
+) {
+    setup.fill::<S, MODE>(simd, tile, &[*triangle; 4], &[triangle.record.bounds; 4], true);
+    draw_rows::<S, MODE, true>(simd, tile, triangle, setup, 0, pixels);
+}
+
+/// Draws a triangle whose covered pixels are known; no sliver.
 #[inline(always)]
 fn draw_little<S: Simd, const MODE: u8>(
     simd: S,
@@ -244,100 +344,72 @@ fn draw_little<S: Simd, const MODE: u8>(
     triangle: &Triangle<'_>,
     setup: &Setup,
     k: usize,
-    area: &Area,
     pixels: &mut Pixels<'_>,
 ) {
+    let (k, pixels) = (k % 4, &mut pixels.again());
+    if MODE == PLAIN && !pixels.has_light() {
+        return;
+    }
     let mut cover = i32::from(triangle.record.cover);
     let bits = S::i32s::from_slice(simd, &COVER[..S::i32s::LEN]);
     let xs: S::f32s = S::i32s::from_slice(simd, &LANES[..S::i32s::LEN]).to_float();
-    let right = S::f32s::simd_from(simd, setup.w_right[k % 4]);
+    let w_across = xs * S::f32s::simd_from(simd, setup.w_right[k]);
     let ink = Ink::new::<MODE>(simd, tile, triangle, setup, k);
-    let mut at = (area.top - tile.bounds[1]) as usize * STRIDE + (area.first - tile.bounds[0]) as usize;
-    let mut y = 0;
-    while cover != 0 {
+    let mut at = setup.at[k] as usize;
+    for (y, row) in setup.rows.iter().enumerate() {
         let inside = (S::i32s::simd_from(simd, cover) & bits).simd_eq(bits);
-        let here = S::f32s::simd_from(simd, setup.w_rows[y % 4][k % 4]) + xs * right;
+        let here = S::f32s::simd_from(simd, row.w[k]) + w_across;
         let run = Run { at, inside, here, xs, y: y as i32 };
-        let light = setup.light_rows[y % 4][k % 4];
-        ink.draw::<MODE>(simd, &run, light, triangle.record, tile.view.channels, pixels);
-        (cover, at, y) = (cover >> LITTLE, at + STRIDE, y + 1);
+        ink.draw::<MODE>(simd, &run, row.light[k], triangle.record, tile.view.channels, pixels);
+        (cover, at) = (cover >> LITTLE, at + STRIDE);
+        if cover == 0 {
+            break;
+        }
     }
 }
 
-/// Draws a triangle's pixels in the area. `wide` stands for `edges` where they do not fit.
+/// Draws what its rows know of a triangle; only one that may be `ODD` is a sliver.
 #[inline(always)]
-#[allow(clippy::too_many_arguments)]
-fn draw_area<S: Simd, const MODE: u8>(
+fn draw_rows<S: Simd, const MODE: u8, const ODD: bool>(
     simd: S,
     tile: &Tile<'_>,
     triangle: &Triangle<'_>,
     setup: &Setup,
     k: usize,
-    area: &Area,
-    edges: &Edges<i32>,
-    wide: Option<&Edges<i64>>,
     pixels: &mut Pixels<'_>,
 ) {
-    let splat = |v: f32| S::f32s::simd_from(simd, v);
-    let whole = |v: i32| S::i32s::simd_from(simd, v);
+    let (k, pixels) = (k % 4, &mut pixels.again());
+    if MODE == PLAIN && !pixels.has_light() {
+        return;
+    }
     let length = S::f32s::LEN as i32;
-    let (r0, r1, r2) = (whole(edges.right[0]), whole(edges.right[1]), whole(edges.right[2]));
-    let (d0, d1, d2) = (whole(edges.down[0]), whole(edges.down[1]), whole(edges.down[2]));
     let lanes = S::i32s::from_slice(simd, &LANES[..S::i32s::LEN]);
-    let mut e0 = whole(edges.start[0]) + lanes * r0;
-    let mut e1 = whole(edges.start[1]) + lanes * r1;
-    let mut e2 = whole(edges.start[2]) + lanes * r2;
-    let width = area.last - area.first;
-    let mut y = area.top;
-
-    let (w, light) = (setup.w.one(k), setup.light.one(k));
-    let sliver = setup.slivers >> k & 1 == 1;
-    let ink = Ink::new::<MODE>(simd, tile, triangle, setup, k);
     let first_xs: S::f32s = lanes.to_float();
-    let w_right = splat(setup.w_right[k % 4]);
-    // where the left edges only move to the right, what is left of the last row's first pixel stays outside
-    let leftmost = (0..3).all(|k| edges.right[k] <= 0 || edges.down[k] <= 0);
-    let mut start = (0, first_xs);
-    let mut at = (y - tile.bounds[1]) as usize * STRIDE + (area.first - tile.bounds[0]) as usize;
-    loop {
-        // from the top each time: where rows begin to be drawn differs with the length of vectors
-        let dy = f64::from(y - area.top);
-        let w_start = splat(w.at(dy));
-        let (mut x, mut xs) = start;
-        let (mut f0, mut f1, mut f2) = (e0, e1, e2);
-        let mut entered = false;
+    let w_right = S::f32s::simd_from(simd, setup.w_right[k]);
+    let sliver = ODD && setup.slivers >> k & 1 == 1;
+    let ink = Ink::new::<MODE>(simd, tile, triangle, setup, k);
+    for (y, row) in setup.rows[..(setup.heights[k] as usize).min(TILE)].iter().enumerate() {
+        let mut left = row.count[k];
+        if left == 0 {
+            continue;
+        }
+        let mut at = row.at[k] as usize;
+        let mut xs = first_xs + S::f32s::simd_from(simd, row.first[k]);
+        let w = S::f32s::simd_from(simd, row.w[k]);
         loop {
-            let inside = match wide {
-                None => (f0 | f1 | f2).simd_ge(whole(0)),
-                Some(wide) => S::mask32s::from_bitmask(simd, wide.inside(x, y - area.top, S::f32s::LEN)),
-            };
-            if inside.any_true() {
-                if leftmost && !entered {
-                    start = (x, xs);
-                    (e0, e1, e2) = (f0, f1, f2);
-                }
-                entered = true;
-                let mut here = w_start + xs * w_right;
-                if sliver {
-                    here = triangle.kept_near(simd, here);
-                }
-                let run = Run { at: at + x as usize, inside, here, xs, y: y - area.top };
-                ink.draw::<MODE>(simd, &run, light.at(dy), triangle.record, tile.view.channels, pixels);
-            } else if entered {
+            let inside = S::i32s::simd_from(simd, left).simd_gt(lanes);
+            let mut here = w + xs * w_right;
+            if sliver {
+                here = triangle.kept_near(simd, here);
+            }
+            let run = Run { at, inside, here, xs, y: y as i32 };
+            ink.draw::<MODE>(simd, &run, row.light[k], triangle.record, tile.view.channels, pixels);
+            left -= length;
+            if left <= 0 {
                 break;
             }
-            x += length;
-            if x > width {
-                break;
-            }
-            xs += splat(length as f32);
-            (f0, f1, f2) = (f0 + r0 * length, f1 + r1 * length, f2 + r2 * length);
+            at += length as usize;
+            xs += S::f32s::simd_from(simd, length as f32);
         }
-        if y == area.bottom {
-            return;
-        }
-        y += 1;
-        at += STRIDE;
-        (e0, e1, e2) = (e0 + d0, e1 + d1, e2 + d2);
     }
 }

@@ -17,6 +17,27 @@ pub(super) enum Extent {
     Piece,
 }
 
+/// Pixels from a first to a last column and row, inclusive.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct Bounds {
+    /// Left, and 16 bits higher top; none is below 0 or above `i16::MAX`.
+    pub low: i32,
+    /// Right and bottom likewise.
+    pub high: i32,
+}
+
+impl Bounds {
+    pub fn new([left, top, right, bottom]: [i32; 4]) -> Self {
+        Self { low: left | top << 16, high: right | bottom << 16 }
+    }
+
+    /// Left, top, right, bottom.
+    #[inline(always)]
+    pub fn sides(self) -> [i32; 4] {
+        [self.low & 0xffff, self.low >> 16, self.high & 0xffff, self.high >> 16]
+    }
+}
+
 /// A triangle that may cover pixel centers.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Record {
@@ -27,9 +48,9 @@ pub(super) struct Record {
     pub surface: u32,
     /// Intensity of a flat face; below 0 where intensity is interpolated.
     pub face: f32,
-    /// Pixels whose centers it may cover: x0, y0, x1, y1, all inclusive; within the tile unless it is over many.
-    pub bounds: [i16; 4],
-    /// The centers it covers of the four by four from x0, y0 on, row by row; 0 where they are not known.
+    /// Pixels whose centers it may cover; within the tile unless it is over many.
+    pub bounds: Bounds,
+    /// The centers it covers of the four by four from left and top on, row by row; 0 where they are not known.
     pub cover: u16,
     pub extent: Extent,
     /// The next record of the same tile.
@@ -42,23 +63,23 @@ impl Record {
         corners: [0; 3],
         surface: 0,
         face: -1.0,
-        bounds: [0; 4],
+        bounds: Bounds { low: 0, high: 0 },
         cover: 0,
         extent: Extent::Small,
         next: NONE,
     };
 
-    /// What of it is inside these pixels.
-    pub fn cut(mut self, [x0, y0, x1, y1]: [i16; 4]) -> Self {
-        let [left, top, right, bottom] = self.bounds;
-        self.bounds = [left.max(x0), top.max(y0), right.min(x1), bottom.min(y1)];
+    /// What of it is inside these pixels: left, top, right, bottom.
+    pub fn cut(mut self, [x0, y0, x1, y1]: [i32; 4]) -> Self {
+        let [left, top, right, bottom] = self.bounds.sides();
+        let [first, above, last, below] = [left.max(x0), top.max(y0), right.min(x1), bottom.min(y1)];
+        self.bounds = Bounds::new([first, above, last, below]);
         if self.cover != 0 {
-            let side = LITTLE as i16;
-            let before = self.bounds[0] - left;
+            let before = first - left;
             // columns before the first leave their rows, those after the last are none
-            let columns = (0xf_u16 >> before).min(0xf >> (side - 1 - (self.bounds[2] - self.bounds[0])));
-            let rows = 0xffff >> (side * (side - 1 - (self.bounds[3] - self.bounds[1])));
-            self.cover >>= side * (self.bounds[1] - top) + before;
+            let columns = (0xf_u16 >> before).min(0xf >> (LITTLE - 1 - (last - first)));
+            let rows = 0xffff >> (LITTLE * (LITTLE - 1 - (below - above)));
+            self.cover >>= LITTLE * (above - top) + before;
             self.cover &= (columns * 0x1111) & rows;
         }
         self
@@ -75,11 +96,12 @@ mod tests {
         let mut rng = SplitMix64::new(9);
         let mut cut = 0;
         for _ in 0..2000 {
-            let mut any = |low, high| rng.int(low, high) as i16;
+            let mut any = |low, high| rng.int(low, high) as i32;
             let (x, y, wide, high) = (any(58, 66), any(58, 66), any(0, 3), any(0, 3));
-            let mut record = Record { bounds: [x, y, x + wide, y + high], ..Record::NONE };
-            let pixels = |of: &Record| -> Vec<[i16; 2]> {
-                let at = |k: i16| [of.bounds[0] + k % 4, of.bounds[1] + k / 4];
+            let mut record = Record { bounds: Bounds::new([x, y, x + wide, y + high]), ..Record::NONE };
+            let pixels = |of: &Record| -> Vec<[i32; 2]> {
+                let [left, top, ..] = of.bounds.sides();
+                let at = |k: i32| [left + k % 4, top + k / 4];
                 (0..16).filter(|k| of.cover >> k & 1 == 1).map(at).collect()
             };
             for k in 0..16 {

@@ -11,7 +11,6 @@ use crate::frame::Layer;
 use crate::pixels::simd::{Level, dispatch};
 use crate::pixels::{Plane, Rect, TILE, TileGrid, TileSet};
 use fearless_simd::Simd;
-use std::ops::Range;
 
 /// What tiles are drawn from and written with.
 pub(super) struct Painter<'a> {
@@ -36,6 +35,7 @@ impl Painter<'_> {
             depth2: Sheet::of(&mut layer.depth2),
             normal: layer.normal.each_mut().map(Sheet::of),
             normal2: layer.normal2.each_mut().map(Sheet::of),
+            object: Sheet::of(&mut layer.object),
             shield: shield.map(Sheet::of).unwrap_or_default(),
         };
         self.rows(grid, 0, sheets, slots);
@@ -105,22 +105,23 @@ impl<'a, T: Copy> Sheet<'a, T> {
         (Self { samples: above, stride }, Self { samples: below, stride })
     }
 
+    /// What of the first row of tiles is in a tile, row by row.
     #[inline(always)]
-    fn row(&mut self, y: usize, columns: Range<usize>) -> &mut [T] {
-        let first = y * self.stride;
-        self.samples.get_mut(first + columns.start..first + columns.end).unwrap_or_default()
+    fn rows(&mut self, rect: Rect) -> impl Iterator<Item = &mut [T]> {
+        let rows = self.samples.chunks_mut(self.stride.max(1)).take(rect.y1 - rect.y0);
+        rows.map(move |row| row.get_mut(rect.x0..rect.x1).unwrap_or_default())
     }
 
     fn fill(&mut self, rect: Rect, value: T) {
-        (0..rect.y1 - rect.y0).for_each(|y| self.row(y, rect.x0..rect.x1).fill(value));
+        self.rows(rect).for_each(|row| row.fill(value));
     }
 }
 
 impl Sheet<'_, f32> {
     #[inline(always)]
     fn write_depth(&mut self, w: &[f32], nothing: f32, rect: Rect) {
-        for y in 0..rect.y1 - rect.y0 {
-            depth_row(&w[y * STRIDE..][..STRIDE], nothing, self.row(y, rect.x0..rect.x1));
+        for (row, w) in self.rows(rect).zip(w.chunks_exact(STRIDE)) {
+            depth_row(w, nothing, row);
         }
     }
 }
@@ -132,6 +133,7 @@ struct Sheets<'a> {
     depth2: Sheet<'a, f32>,
     normal: [Sheet<'a, f32>; 3],
     normal2: [Sheet<'a, f32>; 3],
+    object: Sheet<'a, u16>,
     shield: Sheet<'a, f32>,
 }
 
@@ -144,17 +146,27 @@ impl Sheets<'_> {
         }
         let (depth, depth2, shield) =
             (self.depth.split(rows), self.depth2.split(rows), self.shield.split(rows));
+        let (object, more_object) = self.object.split(rows);
         let [above, below] = three(self.color, rows);
         let [normal, more] = three(self.normal, rows);
         let [normal2, more2] = three(self.normal2, rows);
         (
-            Self { color: above, depth: depth.0, depth2: depth2.0, normal, normal2, shield: shield.0 },
+            Self {
+                color: above,
+                depth: depth.0,
+                depth2: depth2.0,
+                normal,
+                normal2,
+                object,
+                shield: shield.0,
+            },
             Self {
                 color: below,
                 depth: depth.1,
                 depth2: depth2.1,
                 normal: more,
                 normal2: more2,
+                object: more_object,
                 shield: shield.1,
             },
         )
@@ -164,21 +176,34 @@ impl Sheets<'_> {
         self.color.iter_mut().for_each(|sheet| sheet.fill(rect, 0));
         self.depth.fill(rect, f32::INFINITY);
         self.depth2.fill(rect, f32::INFINITY);
+        self.object.fill(rect, 0);
         self.normal.iter_mut().chain(&mut self.normal2).for_each(|sheet| sheet.fill(rect, 0.0));
     }
 
     #[inline(always)]
     fn write<S: Simd>(&mut self, simd: S, palette: &Palette<'_>, slot: &Slot, rect: Rect) {
-        let (columns, nothing) = (rect.x0..rect.x1, palette.nothing);
+        let nothing = palette.nothing;
         if self.color[0].samples.is_empty() {
             self.depth.write_depth(&slot.w, nothing, rect);
         } else {
             let [r, g, b] = &mut self.color;
-            for y in 0..rect.y1 - rect.y0 {
-                let out = [r.row(y, columns.clone()), g.row(y, columns.clone()), b.row(y, columns.clone())];
-                shade_row(simd, palette, slot, y, self.depth.row(y, columns.clone()), out);
+            let gray = palette.gray().zip(slot.attributes.first());
+            let colors = r.rows(rect).zip(g.rows(rect)).zip(b.rows(rect));
+            let rows = self.depth.rows(rect).zip(colors);
+            if let Some((gray, light)) = gray {
+                let from = slot.w.chunks_exact(STRIDE).zip(light.chunks_exact(STRIDE));
+                for ((w, light), (depth, ((r, g), b))) in from.zip(rows) {
+                    if let (Some(w), Some(light)) = (w.first_chunk(), light.first_chunk()) {
+                        gray.shade_row(simd, [w, light], depth, [r, g, b]);
+                    }
+                }
+            } else {
+                for (y, (depth, ((r, g), b))) in rows.enumerate() {
+                    shade_row(simd, palette, slot, y, depth, [r, g, b]);
+                }
             }
         }
+        self.write_objects(palette, slot, rect);
         let first = palette.channels.normal_at();
         if let (false, [x, y, z, ..]) = (self.normal[0].samples.is_empty(), &slot.attributes[first..]) {
             write_normals(&slot.w, nothing, [x, y, z], &mut self.normal, rect);
@@ -191,14 +216,33 @@ impl Sheets<'_> {
     }
 }
 
+impl Sheets<'_> {
+    /// The models that the pixels show.
+    #[inline(always)]
+    fn write_objects(&mut self, palette: &Palette<'_>, slot: &Slot, rect: Rect) {
+        let model = |surface: i32| palette.surfaces.get(surface as usize).map_or(0, |s| s.model as u16 + 1);
+        let of_all = model(0);
+        for (y, row) in self.object.rows(rect).enumerate() {
+            let part = y * STRIDE..y * STRIDE + row.len();
+            for (out, &w) in row.iter_mut().zip(&slot.w[part.clone()]) {
+                *out = if w > palette.nothing { of_all } else { 0 };
+            }
+            if palette.channels.surfaces {
+                for (out, &surface) in row.iter_mut().zip(&slot.surface[part]).filter(|(out, _)| **out != 0) {
+                    *out = model(surface);
+                }
+            }
+        }
+    }
+}
+
 #[inline(always)]
 fn write_normals(w: &[f32], nothing: f32, from: [&[f32]; 3], to: &mut [Sheet<'_, f32>; 3], rect: Rect) {
     let [x, y, z] = to;
-    for row in 0..rect.y1 - rect.y0 {
-        let (part, columns) = (row * STRIDE..row * STRIDE + rect.x1 - rect.x0, rect.x0..rect.x1);
+    for (row, ((x, y), z)) in x.rows(rect).zip(y.rows(rect)).zip(z.rows(rect)).enumerate() {
+        let part = row * STRIDE..row * STRIDE + x.len();
         let from = [&from[0][part.clone()], &from[1][part.clone()], &from[2][part.clone()]];
-        let out = [x.row(row, columns.clone()), y.row(row, columns.clone()), z.row(row, columns)];
-        unit_row(&w[part], nothing, from, out);
+        unit_row(&w[part], nothing, from, [x, y, z]);
     }
 }
 

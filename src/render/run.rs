@@ -1,6 +1,6 @@
 //! A run of pixels in a row of a tile: the depth test, and what is kept of the nearest and second-nearest surface.
 
-use super::edges::{Slope, Slopes};
+use super::slopes::{Slope, Slopes};
 use super::tile::{AREA, Channels, Slot};
 use fearless_simd::{Simd, prelude::*};
 
@@ -34,6 +34,30 @@ impl<'a> Pixels<'a> {
             normal2: slot.normal2.each_mut().map(Vec::as_mut_slice),
             shield: &mut slot.shield,
         })
+    }
+}
+
+impl Pixels<'_> {
+    /// Whether light is kept.
+    #[inline(always)]
+    pub fn has_light(&self) -> bool {
+        self.light.is_some()
+    }
+
+    /// The same for a while: in a place of its own, of which a loop keeps in registers what it needs.
+    #[inline(always)]
+    pub fn again(&mut self) -> Pixels<'_> {
+        let ([a, b, c], [d, e, f]) = (&mut self.normal, &mut self.normal2);
+        Pixels {
+            w: self.w,
+            light: self.light.as_deref_mut(),
+            normal: [a, b, c],
+            others: self.others,
+            surface: self.surface,
+            w2: self.w2,
+            normal2: [d, e, f],
+            shield: self.shield,
+        }
     }
 }
 

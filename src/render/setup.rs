@@ -3,12 +3,13 @@
 
 use super::View;
 use super::bins::Chunk;
-use super::edges::{Area, Slope, Slopes, SlopesApart, Weights};
-use super::record::{Extent, Record};
-use super::sort::LITTLE;
-use super::tile::MOST;
-use super::vertex::{Spot, Vertex, Vertices, narrow, widen};
-use fearless_simd::{Simd, SimdFrom, f64x4, prelude::*};
+use super::record::{Bounds, Extent, Record};
+use super::slopes::{Slope, Slopes, SlopesApart, Weights};
+use super::spans::{Corners, Row};
+use super::tile::{MOST, STRIDE};
+use super::vertex::{Spot, Vertex, Vertices, narrow, wide, widen};
+use crate::pixels::TILE;
+use fearless_simd::{Simd, SimdFrom, f64x4, i32x4, prelude::*};
 use glam::Vec3;
 
 /// Width of the strips of steep triangles, px.
@@ -24,6 +25,13 @@ const SLIVER: f64 = 32.0;
 pub(super) const PLAIN: u8 = 0;
 pub(super) const BOTH: u8 = 1;
 pub(super) const ANY: u8 = 2;
+
+/// The tile at hand.
+pub(super) struct Tile<'a> {
+    pub view: &'a View<'a>,
+    /// Its pixels: left, top, right, bottom, inclusive.
+    pub bounds: [i32; 4],
+}
 
 /// A triangle to draw.
 #[derive(Clone, Copy)]
@@ -127,35 +135,85 @@ impl<'a> Triangle<'a> {
 
 /// Four triangles, each over its area.
 pub(super) struct Setup {
-    pub weights: [SlopesApart; 2],
-    pub w: SlopesApart,
-    pub light: SlopesApart,
-    /// Their steps to the right, rounded.
+    /// The first pixel in the slot, and how many rows there are.
+    pub at: [i32; 4],
+    pub heights: [i32; 4],
+    /// Steps of 1/z and light to the right, rounded.
     pub w_right: [f32; 4],
     pub light_right: [f32; 4],
-    /// 1/z and light at the first pixel of the first rows.
-    pub w_rows: [[f32; 4]; LITTLE as usize],
-    pub light_rows: [[f32; 4]; LITTLE as usize],
     /// A bit each: too steep for their width, slivers.
     pub steep: u64,
     pub slivers: u64,
+    pub weights: [SlopesApart; 2],
+    pub rows: [Row; TILE],
+}
+
+impl Default for Setup {
+    fn default() -> Self {
+        Self {
+            at: [0; 4],
+            heights: [0; 4],
+            w_right: [0.0; 4],
+            light_right: [0.0; 4],
+            steep: 0,
+            slivers: 0,
+            weights: Default::default(),
+            rows: [Row::default(); TILE],
+        }
+    }
 }
 
 impl Setup {
+    /// Sets up four triangles over areas within the tile; what of their rows is covered only where `spans` are wanted,
+    /// and of small ones.
+    #[inline(never)]
+    pub fn fill<S: Simd, const MODE: u8>(
+        &mut self,
+        simd: S,
+        tile: &Tile<'_>,
+        four: &[Triangle<'_>; 4],
+        areas: &[Bounds; 4],
+        spans: bool,
+    ) {
+        simd.vectorize(
+            #[inline(always)]
+            || self.fill_here::<S, MODE>(simd, tile, four, areas, spans),
+        );
+    }
+
     #[inline(always)]
-    pub fn new<S: Simd, const MODE: u8>(simd: S, four: &[Triangle<'_>; 4], areas: &[Area; 4]) -> Self {
+    fn fill_here<S: Simd, const MODE: u8>(
+        &mut self,
+        simd: S,
+        tile: &Tile<'_>,
+        four: &[Triangle<'_>; 4],
+        areas: &[Bounds; 4],
+        spans: bool,
+    ) {
+        let flat = tile.view.channels.flat;
+        let [corner_x, corner_y, ..] = tile.bounds;
         let of = |v: f64| f64x4::splat(simd, v);
+        let whole = |v: i32| i32x4::splat(simd, v);
         let (a, b, c) = (corners(simd, four, 0), corners(simd, four, 1), corners(simd, four, 2));
         let [p, q, r, s] = areas;
-        let left = f64x4::simd_from(simd, [p.first, q.first, r.first, s.first].map(f64::from));
-        let last = f64x4::simd_from(simd, [p.last, q.last, r.last, s.last].map(f64::from));
-        let top = f64x4::simd_from(simd, [p.top, q.top, r.top, s.top].map(f64::from));
-        let weights = Weights::new(simd, [left, top], [a[0], b[0], c[0]], [a[1], b[1], c[1]]);
+        let low = i32x4::simd_from(simd, [p.low, q.low, r.low, s.low]);
+        let high = i32x4::simd_from(simd, [p.high, q.high, r.high, s.high]);
+        let (left, top) = (low & whole(0xffff), low >> 16);
+        let columns = (high & whole(0xffff)) - left;
+        let heights = (high >> 16) - top + whole(1);
+        let at = top * whole(STRIDE as i32) + left - whole(corner_y * STRIDE as i32 + corner_x);
+        at.store_slice(&mut self.at);
+        heights.store_slice(&mut self.heights);
+        let corner = [wide(simd, left.to_float()), wide(simd, top.to_float())];
+        let (x, y) = ([a[0], b[0], c[0]], [a[1], b[1], c[1]]);
+        let weights = Weights::new(simd, corner, x, y);
         let w = weights.slopes([a[2], b[2], c[2]]);
         let mut light = Slopes::zero(simd);
         if MODE != BOTH {
             // over z; of flat faces intensity itself
             light = weights.slopes([a[3] * a[2], b[3] * b[2], c[3] * c[2]]);
+        }
+        if MODE != BOTH && flat {
             let faces = [four[0].record.face, four[1].record.face, four[2].record.face, four[3].record.face];
             let faces = widen(simd, faces);
             let flat = faces.simd_ge(of(0.0));
@@ -163,31 +221,36 @@ impl Setup {
             light.right = flat.select(of(0.0), light.right);
             light.down = flat.select(of(0.0), light.down);
         }
-        let (mut w_rows, mut light_rows) = ([[0.0; 4]; LITTLE as usize], [[0.0; 4]; LITTLE as usize]);
-        for (y, (w_row, light_row)) in w_rows.iter_mut().zip(&mut light_rows).enumerate() {
-            w.at(simd, y as f64).store_slice(w_row);
+        let [i, j, k, l] = self.heights;
+        let rows = &mut self.rows[..(i.max(j).max(k).max(l) as usize).min(TILE)];
+        let mut below = 0.0;
+        for row in rows.iter_mut() {
+            w.at(simd, below).store_slice(&mut row.w);
             if MODE != BOTH {
-                light.at(simd, y as f64).store_slice(light_row);
+                light.at(simd, below).store_slice(&mut row.light);
             }
+            below += 1.0;
         }
-        let (mut w_right, mut light_right) = ([0.0; 4], [0.0; 4]);
-        narrow(simd, w.right).store_slice(&mut w_right);
-        narrow(simd, light.right).store_slice(&mut light_right);
+        if spans {
+            Corners::new(simd, corner, x, y).fill(simd, at, columns + whole(1), rows);
+        }
+        narrow(simd, w.right).store_slice(&mut self.w_right);
+        narrow(simd, light.right).store_slice(&mut self.light_right);
         let (across, along) = weights.steepness();
-        let (width, least) = (last - left, a[2].min(b[2]).min(c[2]));
-        let steep = (w.right.abs() * width).simd_gt(of(STEEP_DEPTH) * least)
-            | (across * width).simd_gt(of(STEEP_WEIGHTS));
-        let steep = steep & width.simd_ge(of(f64::from(STRIP)));
-        Self {
-            weights: [weights.0[0].apart(), weights.0[1].apart()],
-            w: w.apart(),
-            light: light.apart(),
-            w_right,
-            light_right,
-            w_rows,
-            light_rows,
-            steep: steep.to_bitmask(),
-            slivers: (across + along).simd_gt(of(SLIVER)).to_bitmask(),
+        let sliver = (across + along).simd_gt(of(SLIVER));
+        (self.slivers, self.steep) = (0, 0);
+        if sliver.any_true() {
+            self.slivers = sliver.to_bitmask();
+        }
+        let broad = columns.simd_ge(whole(STRIP));
+        if broad.any_true() {
+            let (width, least) = (wide(simd, columns.to_float()), a[2].min(b[2]).min(c[2]));
+            let steep = (w.right.abs() * width).simd_gt(of(STEEP_DEPTH) * least)
+                | (across * width).simd_gt(of(STEEP_WEIGHTS));
+            self.steep = steep.to_bitmask() & broad.to_bitmask();
+        }
+        if MODE != PLAIN {
+            self.weights = [weights.0[0].apart(), weights.0[1].apart()];
         }
     }
 }

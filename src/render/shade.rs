@@ -23,10 +23,12 @@ pub(super) enum Kind {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Surface {
     pub kind: Kind,
+    /// Index of its model in the scene.
+    pub model: usize,
     /// Base color times 255.
     color: [f32; 3],
     /// Share of light that reaches every surface.
-    ambient: f32,
+    pub(super) ambient: f32,
     /// The toon ramp.
     ramp: [f32; 32],
     /// Where its texture is, model and material, and how it goes on past its edges.
@@ -61,7 +63,7 @@ impl Surface {
             let color = (color * light.tint).to_array().map(|v| share(v) * 255.0);
             let ambient = if kind == Kind::ThreeSteps { 0.0 } else { share(light.ambient) };
             let colored = !model.mesh.colors.is_empty();
-            Surface { kind, color, ambient, ramp, texture, wrap, colored }
+            Surface { kind, model: index, color, ambient, ramp, texture, wrap, colored }
         };
         for (k, material) in model.mesh.materials.iter().enumerate() {
             let textured = material.texture.as_ref().is_some_and(|t| t.size().area() > 0);
@@ -116,7 +118,7 @@ pub(super) struct Palette<'a> {
 }
 
 /// Pixels that are shaded together.
-const RUN: usize = 8;
+pub(super) const RUN: usize = 8;
 
 /// Depth and color of one row of a tile, as long as the outputs are; 64 pixels at most.
 #[inline(always)]
@@ -128,11 +130,6 @@ pub(super) fn shade_row<S: Simd>(
     depth: &mut [f32],
     out: [&mut [u8]; 3],
 ) {
-    if let ([surface], false) = (palette.surfaces, palette.channels.surfaces)
-        && let Some(gray) = surface.gray()
-    {
-        return gray_row(simd, palette, surface, gray, slot, row, depth, out);
-    }
     let mut far = [f32::INFINITY; TILE];
     let mut levels = [[0i32; TILE]; 3];
     let [reds, greens, blues] = &mut levels;
@@ -176,49 +173,9 @@ pub(super) fn shade_row<S: Simd>(
     }
 }
 
-/// The common case: one smooth surface without color.
-#[inline(always)]
-#[allow(clippy::too_many_arguments)]
-fn gray_row<S: Simd>(
-    simd: S,
-    palette: &Palette<'_>,
-    surface: &Surface,
-    gray: f32,
-    slot: &Slot,
-    row: usize,
-    depth: &mut [f32],
-    [r, g, b]: [&mut [u8]; 3],
-) {
-    let Some(light) = slot.attributes.first() else { return };
-    let (mut far, mut levels) = ([0.0; TILE], [0i32; TILE]);
-    let nothing = f32x8::splat(simd, palette.nothing);
-    let (zero, one) = (f32x8::splat(simd, 0.0), f32x8::splat(simd, 1.0));
-    let infinite = f32x8::splat(simd, f32::INFINITY);
-    let ambient = f32x8::splat(simd, surface.ambient);
-    let (rest, base) = (f32x8::splat(simd, 1.0 - surface.ambient), f32x8::splat(simd, gray));
-    let half = f32x8::splat(simd, 0.5);
-    for x in (0..TILE).step_by(RUN) {
-        let at = row * STRIDE + x;
-        let w = load(simd, &slot.w, at);
-        let covered = w.simd_gt(nothing);
-        let z = one / w;
-        covered.select(z, infinite).store_slice(&mut far[x..x + RUN]);
-        let light = ambient + rest * unit_range(simd, load(simd, light, at) * z);
-        covered.select(light * base + half, zero).to_int::<i32x8<S>>().store_slice(&mut levels[x..x + RUN]);
-    }
-    depth.copy_from_slice(&far[..depth.len()]);
-    let mut bytes = [0u8; TILE];
-    for (byte, &level) in bytes.iter_mut().zip(&levels) {
-        *byte = level as u8;
-    }
-    for out in [r, g, b] {
-        out.copy_from_slice(&bytes[..out.len()]);
-    }
-}
-
 impl Surface {
     /// The base color of a smooth surface that has no other colors than grays.
-    fn gray(&self) -> Option<f32> {
+    pub(super) fn gray(&self) -> Option<f32> {
         let [r, g, b] = self.color;
         let plain = self.kind == Kind::Smooth && self.texture.is_none() && !self.colored;
         (plain && r == g && g == b).then_some(r)
@@ -295,19 +252,19 @@ impl Surface {
 }
 
 #[inline(always)]
-fn load<S: Simd>(simd: S, plane: &[f32], at: usize) -> f32x8<S> {
+pub(super) fn load<S: Simd>(simd: S, plane: &[f32], at: usize) -> f32x8<S> {
     f32x8::from_slice(simd, &plane[at..at + RUN])
 }
 
 /// Light times base color, rounded to a whole level.
 #[inline(always)]
-fn to_level<S: Simd>(simd: S, light: f32x8<S>, base: f32) -> i32x8<S> {
+pub(super) fn to_level<S: Simd>(simd: S, light: f32x8<S>, base: f32) -> i32x8<S> {
     (light * f32x8::splat(simd, base) + f32x8::splat(simd, 0.5)).to_int()
 }
 
 /// Clamped to 0..1; not-a-number becomes 0.
 #[inline(always)]
-fn unit_range<S: Simd>(simd: S, v: f32x8<S>) -> f32x8<S> {
+pub(super) fn unit_range<S: Simd>(simd: S, v: f32x8<S>) -> f32x8<S> {
     let (zero, one) = (f32x8::splat(simd, 0.0), f32x8::splat(simd, 1.0));
     let v = v.simd_gt(zero).select(v, zero);
     v.simd_lt(one).select(v, one)

@@ -1,5 +1,6 @@
 //! Eight triangles at a time, by their spots alone: which may cover a pixel center, which must be looked at singly.
 
+use super::record::Bounds;
 use super::vertex::{NO_SPOT, Spot};
 use crate::pixels::{Size, TILE};
 use fearless_simd::{Simd, SimdBase, i32x8, mask32x8, prelude::*};
@@ -34,13 +35,9 @@ pub(super) struct Sorted {
     pub others: u32,
     /// Of the small ones, those wound counter-clockwise as seen.
     pub front: u32,
-    /// Pixels the small ones may cover: left in the low 16 bits and top in the high ones, right and bottom.
-    pub lows: [i32; BATCH],
-    pub highs: [i32; BATCH],
-    /// The tile that holds them, or `SEVERAL`.
-    pub tiles: [i32; BATCH],
-    /// The centers that those in little boxes cover, row by row, a bit each; 0 for all others.
-    pub covers: [i32; BATCH],
+    /// Of the small ones bounds, low and high; the tile that holds them, or `SEVERAL`; and the centers that those in
+    /// little boxes cover, row by row, a bit each, 0 for all others.
+    each: [[i32; 4]; BATCH],
 }
 
 /// Not one tile.
@@ -102,22 +99,31 @@ impl Sorted {
             covers = little.select(columns & rows & !outside, of(0));
             alive &= !(little & covers.simd_eq(of(0)));
         }
-        let (mut lows, mut highs, mut tiles, mut inside) = ([0; BATCH], [0; BATCH], [0; BATCH], [0; BATCH]);
-        covers.store_slice(&mut inside);
-        (left | (top << 16)).store_slice(&mut lows);
-        (right | (bottom << 16)).store_slice(&mut highs);
         let one = ((left ^ right) | (top ^ bottom)).simd_lt(of(TILE as i32));
         let tile = (top >> TILE_SHIFT) * of(rules.columns as i32) + (left >> TILE_SHIFT);
-        one.select(tile, of(SEVERAL)).store_slice(&mut tiles);
+        let (low, high) = (simd.split_i32x8(left | (top << 16)), simd.split_i32x8(right | (bottom << 16)));
+        let (tile, covers) = (simd.split_i32x8(one.select(tile, of(SEVERAL))), simd.split_i32x8(covers));
+        let mut each = [[0; 4]; BATCH];
+        let (first, second) = each.split_at_mut(BATCH / 2);
+        if let (Ok(first), Ok(second)) =
+            (first.as_flattened_mut().try_into(), second.as_flattened_mut().try_into())
+        {
+            simd.store_four_interleaved_i32x4([low.0, high.0, tile.0, covers.0], first);
+            simd.store_four_interleaved_i32x4([low.1, high.1, tile.1, covers.1], second);
+        }
         Self {
             small: alive.to_bitmask() as u32,
             others: others.to_bitmask() as u32,
             front: front.to_bitmask() as u32,
-            lows,
-            highs,
-            tiles,
-            covers: inside,
+            each,
         }
+    }
+
+    /// Of a small one its bounds, tile and cover.
+    #[inline(always)]
+    pub fn one(&self, k: usize) -> (Bounds, i32, u16) {
+        let [low, high, tile, cover] = self.each[k % BATCH];
+        (Bounds { low, high }, tile, cover as u16)
     }
 }
 
@@ -259,13 +265,13 @@ mod tests {
                         continue;
                     }
                     kept += 1;
-                    assert_eq!(sorted.covers[k] as u128, if tiny { inside } else { 0 });
+                    let (bounds, of_tile, cover) = sorted.one(k);
+                    assert_eq!(u128::from(cover), if tiny { inside } else { 0 });
                     assert_eq!(is(sorted.front), area < 0);
-                    let halves = |v: i32| [i64::from(v & 0xffff), i64::from(v >> 16)];
-                    assert_eq!((halves(sorted.lows[k]), halves(sorted.highs[k])), (first, last));
+                    assert_eq!(bounds.sides().map(i64::from), [first[0], first[1], last[0], last[1]]);
                     let tile = |x: i64, y: i64| (y / 64 * 4 + x / 64) as i32;
                     let (from, to) = (tile(first[0], first[1]), tile(last[0], last[1]));
-                    assert_eq!(sorted.tiles[k], if from == to { from } else { SEVERAL });
+                    assert_eq!(of_tile, if from == to { from } else { SEVERAL });
                 }
             }
         }

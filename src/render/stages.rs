@@ -226,10 +226,11 @@ fn channels(needs: Needs, surfaces: &[Surface]) -> Channels {
     let any = |what: fn(&Surface) -> bool| surfaces.iter().any(what);
     Channels {
         light: color && any(|s| matches!(s.kind, Kind::Smooth | Kind::Flat | Kind::Toon)),
+        flat: color && any(|s| s.kind == Kind::Flat),
         normals: second || needs.includes(Needs::NORMAL) || (color && any(|s| s.kind == Kind::ThreeSteps)),
         uv: color && any(Surface::is_textured),
         colors: color && any(Surface::is_colored),
-        surfaces: color && surfaces.len() > 1,
+        surfaces: (color || needs.includes(Needs::OBJECT)) && surfaces.len() > 1,
         second,
         phantoms: any(|s| s.kind == Kind::Phantom),
     }
@@ -246,10 +247,12 @@ fn possible(scene: &Scene, look: &Look) -> Channels {
     };
     Channels {
         light: color,
+        flat: false,
         normals: second || look.needs.includes(Needs::NORMAL) || (color && steps),
         uv: color && any(|m| m.mesh.materials.iter().any(|material| material.texture.is_some())),
         colors: color && any(|m| !m.mesh.colors.is_empty()),
-        surfaces: color && (scene.models.len() > 1 || any(|m| !m.mesh.materials.is_empty())),
+        surfaces: (color || look.needs.includes(Needs::OBJECT))
+            && (scene.models.len() > 1 || any(|m| !m.mesh.materials.is_empty())),
         second,
         phantoms: any(|m| m.phantom),
     }

@@ -17,6 +17,8 @@ pub(super) const AREA: usize = STRIDE * TILE;
 pub(super) struct Channels {
     /// Intensity.
     pub light: bool,
+    /// Whether any face has one intensity.
+    pub flat: bool,
     /// Normals.
     pub normals: bool,
     /// Texture coordinates.
@@ -54,6 +56,7 @@ impl Channels {
     pub fn join(self, other: Self) -> Self {
         Self {
             light: self.light | other.light,
+            flat: self.flat | other.flat,
             normals: self.normals | other.normals,
             uv: self.uv | other.uv,
             colors: self.colors | other.colors,

@@ -301,7 +301,7 @@ pub(super) fn widen<S: Simd>(simd: S, v: [f32; BATCH]) -> f64x4<S> {
 }
 
 #[inline(always)]
-fn wide<S: Simd>(simd: S, v: f32x4<S>) -> f64x4<S> {
+pub(super) fn wide<S: Simd>(simd: S, v: f32x4<S>) -> f64x4<S> {
     let (low, high) = simd.widen_f32x4(v);
     simd.combine_f64x2(low, high)
 }

@@ -3,6 +3,7 @@
 //! Bounds: on pixels further than 1/256 px from every edge no coverage mismatch, colors within 1 level,
 //! depths within 1e-4 relative; both layers. The same bytes for every thread count and SIMD level.
 
+mod object;
 mod shading;
 mod silhouette;
 mod skip;
