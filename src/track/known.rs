@@ -17,7 +17,7 @@ use crate::pixels::{Size, simd};
 use glam::{DMat3, DVec2, DVec3};
 
 /// Pixels a followed marker is aligned with.
-const SAMPLES: usize = 900;
+const SAMPLES: usize = 720;
 /// Predictions this good need no thin set first, px; least and most doubt about the others.
 const SURE_PX: f64 = 0.3;
 const LEAST_DOUBT_PX: f64 = 0.4;
@@ -65,8 +65,8 @@ pub struct Track {
     other: Option<Minimum>,
     /// χ² by which the pictures so far prefer our minimum to the other.
     trust: f64,
-    /// How far off the last predictions were, px.
-    miss_px: f64,
+    /// How far off the last predictions were, px: of constant place, velocity, acceleration.
+    miss_px: [f64; 3],
     pub state: State,
 }
 
@@ -122,7 +122,7 @@ impl Track {
             smoothed: [DVec2::ZERO; 4],
             other: None,
             trust: 0.0,
-            miss_px: MOST_DOUBT_PX,
+            miss_px: [MOST_DOUBT_PX; 3],
             state: State::Found,
         };
         track.observe(scene, aligned, true);
@@ -133,12 +133,10 @@ impl Track {
     /// Follows it into the next picture.
     pub fn advance(&mut self, scene: &Scene<'_>) {
         self.state = State::Held;
-        let quad = self.expected(scene.at);
-        let doubt = if self.miss_px < SURE_PX {
-            0.0
-        } else {
-            (0.5 * self.miss_px).clamp(LEAST_DOUBT_PX, MOST_DOUBT_PX)
-        };
+        let all = [0, 1, 2].map(|order| self.predicted(scene.at, order));
+        let quad = all[self.order()];
+        let miss = self.miss_px[self.order()];
+        let doubt = if miss < SURE_PX { 0.0 } else { (0.5 * miss).clamp(LEAST_DOUBT_PX, MOST_DOUBT_PX) };
         let mut start = (quad, doubt);
         for retry in [false, true] {
             if retry {
@@ -151,25 +149,38 @@ impl Track {
                 && self.is_it(scene, &aligned)
                 && self.observe(scene, &aligned, false)
             {
-                let miss = (0..4).map(|i| (aligned.quad[i] - quad[i]).length()).fold(0.0, f64::max);
-                self.miss_px = miss.max(0.7 * self.miss_px);
+                for (before, predicted) in self.miss_px.iter_mut().zip(&all) {
+                    let miss = (0..4).map(|i| (aligned.quad[i] - predicted[i]).length()).fold(0.0, f64::max);
+                    *before = miss.max(0.7 * *before);
+                }
                 self.state = State::Followed;
                 return;
             }
         }
     }
 
-    /// Where it should be: constant acceleration from three places in the next frame, constant velocity from two
-    /// and while it is out of sight, at most `MOST_AHEAD_S` far.
+    /// Where it should be, by the prediction that was the best lately.
     pub fn expected(&self, at: f64) -> Quad {
+        self.predicted(at, self.order())
+    }
+
+    /// The order of the prediction that missed least lately, the lowest of the like.
+    fn order(&self) -> usize {
+        (1..3).fold(0, |best, order| if self.miss_px[order] < self.miss_px[best] { order } else { best })
+    }
+
+    /// Where it should be by constant place, velocity from two places in the next frame (and while it is out of
+    /// sight, at most `MOST_AHEAD_S` far) or acceleration from three: `order` 0 to 2, less where less is known.
+    fn predicted(&self, at: f64, order: usize) -> Quad {
         let [(t0, a), (t1, b), (t2, c)] = self.seen;
         let unseen = at - t0 > 1.5 * (t0 - t1);
-        let weights = match self.depth {
-            0 | 1 => [1.0, 0.0, 0.0],
-            depth if depth == 2 || unseen => {
+        let weights = match order.min(self.depth.max(1) - 1) {
+            0 => [1.0, 0.0, 0.0],
+            1 => {
                 let s = (at - t0).min(MOST_AHEAD_S) / (t0 - t1);
                 [1.0 + s, -s, 0.0]
             }
+            _ if unseen => return self.predicted(at, 1),
             _ => [
                 (at - t1) * (at - t2) / ((t0 - t1) * (t0 - t2)),
                 (at - t0) * (at - t2) / ((t1 - t0) * (t1 - t2)),
@@ -302,7 +313,7 @@ impl Track {
     /// Takes it where it was read in this picture after it had been out of sight.
     pub fn found_again(&mut self, scene: &Scene<'_>, aligned: &Aligned) {
         self.depth = 0;
-        self.miss_px = MOST_DOUBT_PX;
+        self.miss_px = [MOST_DOUBT_PX; 3];
         self.observe(scene, aligned, true);
         self.state = State::Found;
     }

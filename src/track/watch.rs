@@ -3,7 +3,8 @@
 //! Nothing new can have appeared where nothing has changed. A `Watch` keeps a small picture of the scene as it was
 //! when last searched and compares it, tile by tile, with the one of the present picture; the noise decides what
 //! counts as a change. Tiles under followed markers never count: those are looked at anyway. What a marker
-//! uncovers is known or too narrow to hold another one, so it is looked at only after a few frames.
+//! uncovers is known or too narrow to hold another one, so it is looked at only after a few frames. Every other row
+//! of tiles is compared in a frame, the rest in the next.
 
 use super::quad::Quad;
 use super::search;
@@ -11,14 +12,16 @@ use crate::pixels::simd::{Level, dispatch};
 use crate::pixels::{Plane, PlaneRef, Size};
 use fearless_simd::{Simd, prelude::*, u8x32, u16x16, u32x8};
 use glam::DVec2;
+use std::ops::Range;
 
 /// Pixels that a value of the small picture stands for, along either side.
 const CELL: usize = 4;
 /// Side of a tile, px, and in values of the small picture.
 pub const TILE_PX: usize = TILE * CELL;
 const TILE: usize = 4;
-/// Frames after which what was uncovered is searched.
-const LATER: u8 = 8;
+/// Frames after which what was uncovered is searched, and that in visits of its tiles.
+const LATER_FRAMES: u8 = 8;
+const LATER: u8 = LATER_FRAMES / 2;
 /// Followed markers reach this far beyond their corners: quiet zone, blur, half a tile.
 const REACH_PX: f64 = 16.0;
 
@@ -28,15 +31,17 @@ pub struct Watch {
     /// Mean of the middle 4x2 pixels of every 4x4, in the present picture and when last searched.
     now: Plane<u8>,
     seen: Plane<u8>,
-    /// Tile by tile: 0 where nothing is to be searched, else the frames until then, and one.
+    /// Tile by tile: 0 where nothing is to be searched, else its visits until then, and one.
     wait: Vec<u8>,
-    /// Tile by tile: under a followed marker now (1), in the picture before (2).
+    /// Tile by tile: under a followed marker now (1), in the picture before that was compared (2).
     under: Vec<u8>,
     columns: usize,
     /// Sum of absolute differences of every tile in a row.
     apart: Vec<u32>,
     /// The tile from which the next region is looked for.
     next: usize,
+    /// Which rows of tiles are compared in this frame: even or odd ones.
+    turn: usize,
 }
 
 /// A box of tiles: first column and row, and the ones after the last.
@@ -62,7 +67,9 @@ impl Watch {
     /// All of this picture has been searched.
     pub fn settle(&mut self, luma: PlaneRef<'_, u8>, level: Level) {
         let Size { width, height } = luma.size();
-        shrink(luma, &mut self.now, level);
+        self.now.resize(Size::new(width / CELL, height / CELL), 0);
+        let all = 0..self.now.size().height;
+        shrink(luma, &mut self.now, all, level);
         self.columns = width.div_ceil(TILE_PX);
         let rows = height.div_ceil(TILE_PX);
         for tiles in [&mut self.wait, &mut self.under] {
@@ -89,12 +96,16 @@ impl Watch {
         if self.seen.size() != size {
             self.settle(luma, level);
         }
-        shrink(luma, &mut self.now, level);
-        self.under.iter_mut().for_each(|under| *under = (*under << 1) & 2);
+        let rows = self.wait.len() / self.columns.max(1);
+        self.turn ^= 1;
+        for under in self.under.chunks_exact_mut(self.columns.max(1)).skip(self.turn).step_by(2) {
+            under.iter_mut().for_each(|under| *under = (*under << 1) & 2);
+        }
         followed.for_each(|quad| self.cover(&quad));
         let limit = limit(sigma);
-        for row in 0..self.wait.len() / self.columns.max(1) {
+        for row in (self.turn..rows).step_by(2) {
             let (from, to) = (row * TILE, size.height.min(row * TILE + TILE));
+            shrink(luma, &mut self.now, from.min(to)..to, level);
             self.apart.fill(0);
             let rows = (from..to).map(|y| (self.now.row(y), self.seen.row(y)));
             dispatch!(level, simd => differ(simd, rows, &mut self.apart));
@@ -127,18 +138,19 @@ impl Watch {
         if changed == 0 {
             return None;
         }
-        if 2 * changed > count {
+        // of what changed, at least half is known in any frame
+        if 4 * changed > count {
             return Some(Region { low: [0, 0], high: [columns, rows] });
         }
         let first = (self.next..count).chain(0..self.next.min(count)).find(|&at| due(at))?;
         self.next = first;
         let (column, row) = (first % columns, first / columns);
         let mut region = Region { low: [column, row], high: [column + 1, row + 1] };
-        // grows while tiles around it have changed, or wait
+        // grows while tiles around it have changed, or wait; the rows between may not have been compared yet
         loop {
             let before = region;
             let (left, right) = (before.low[0].max(1) - 1, (before.high[0] + 1).min(columns));
-            let (top, bottom) = (before.low[1].max(1) - 1, (before.high[1] + 1).min(rows));
+            let (top, bottom) = (before.low[1].max(2) - 2, (before.high[1] + 2).min(rows));
             for row in top..bottom {
                 for column in left..right {
                     if self.wait[row * columns + column] > 0 {
@@ -181,7 +193,7 @@ impl Watch {
         let range = |low: f64, high: f64, most: usize| {
             (low - reach).max(0.0) as usize..((high + reach).max(0.0) as usize + 1).min(most)
         };
-        for row in range(low.y, high.y, rows) {
+        for row in range(low.y, high.y, rows).filter(|row| row % 2 == self.turn) {
             for column in range(low.x, high.x, self.columns) {
                 let p = (DVec2::new(column as f64, row as f64) + 0.5) * TILE_PX as f64;
                 let within = (0..4).all(|i| {
@@ -226,11 +238,9 @@ fn differ<'a, S: Simd>(simd: S, rows: impl Iterator<Item = (&'a [u8], &'a [u8])>
     }
 }
 
-/// The small picture: the mean of the middle two rows of every 4x4 pixels, rounded.
-fn shrink(luma: PlaneRef<'_, u8>, small: &mut Plane<u8>, level: Level) {
-    let size = Size::new(luma.size().width / CELL, luma.size().height / CELL);
-    small.resize(size, 0);
-    for y in 0..size.height {
+/// Rows of the small picture: the mean of the middle two rows of every 4x4 pixels, rounded.
+fn shrink(luma: PlaneRef<'_, u8>, small: &mut Plane<u8>, rows: Range<usize>, level: Level) {
+    for y in rows {
         let (above, below) = (luma.row(CELL * y + 1), luma.row(CELL * y + 2));
         let out = small.row_mut(y);
         dispatch!(level, simd => means(simd, above, below, out));
@@ -285,7 +295,8 @@ mod tests {
             let Size { width, height } = case.plane.size();
             let small = everywhere(&case.label, |level| {
                 let mut small = Plane::default();
-                shrink(case.plane.view(), &mut small, level);
+                small.resize(Size::new(width / CELL, height / CELL), 0);
+                shrink(case.plane.view(), &mut small, 0..height / CELL, level);
                 (0..height / CELL).map(|y| small.row(y).to_vec()).collect::<Vec<_>>()
             });
             for (y, row) in small.iter().enumerate() {
@@ -315,15 +326,19 @@ mod tests {
                     let inside = (200..216).contains(&x) && (100..116).contains(&y);
                     if inside { 40.0 } else { wall(x, y) }
                 };
-                watch.look(noisy(size, sigma, 30, square).view(), sigma, [].into_iter(), level);
+                for seed in [30, 31] {
+                    watch.look(noisy(size, sigma, seed, square).view(), sigma, [].into_iter(), level);
+                }
                 let region = watch.due().expect("a square");
                 assert_eq!(watch.due(), Some(region), "until it is searched");
                 let [low, high] = region.bounds();
                 assert!(low.x <= 192.0 && low.y <= 92.0 && high.x >= 224.0 && high.y >= 124.0, "{region:?}");
                 assert!(high.x - low.x <= 80.0 && high.y - low.y <= 80.0, "{region:?}");
                 watch.searched(&region);
-                watch.look(noisy(size, sigma, 31, square).view(), sigma, [].into_iter(), level);
-                assert_eq!(watch.due(), None);
+                for seed in [32, 33] {
+                    watch.look(noisy(size, sigma, seed, square).view(), sigma, [].into_iter(), level);
+                    assert_eq!(watch.due(), None);
+                }
             }
         }
     }
@@ -342,7 +357,9 @@ mod tests {
         };
         let mut watch = Watch::default();
         watch.settle(picture(40).view(), level);
-        watch.look(picture(40).view(), 1.0, [square(40.0)].into_iter(), level);
+        for _ in 0..2 {
+            watch.look(picture(40).view(), 1.0, [square(40.0)].into_iter(), level);
+        }
         // it jumps aside: both places are known
         let mut waited = 0;
         loop {
@@ -354,7 +371,7 @@ mod tests {
             waited += 1;
             assert!(waited < 10, "what was behind it is looked at");
         }
-        assert!(waited + 2 >= usize::from(LATER), "{waited}");
+        assert!(waited + 2 >= usize::from(LATER_FRAMES), "{waited}");
         let other = Plane::from_fn(size, |x, y| (x * 3 + y * 5) as u8);
         watch.look(other.view(), 1.0, [].into_iter(), level);
         assert_eq!(watch.due(), Some(Region { low: [0, 0], high: [20, 15] }));

@@ -49,19 +49,7 @@ pub fn normal<S: Simd>(
         pattern,
     };
     // the widest the kernel is in cells decides how many cells a pixel may see
-    let half = 0.5 * pattern.cells as f64;
-    let mut widest = 0.0f64;
-    for (x, y) in [(-1.0, 1.0), (1.0, 1.0), (1.0, -1.0), (-1.0, -1.0)] {
-        let w = fit.map.x_axis.z * x + fit.map.y_axis.z * y + fit.map.z_axis.z;
-        for (r, p) in [x, y].into_iter().enumerate() {
-            let across = (inverse.x_axis[r] - p * inverse.x_axis.z) * w;
-            let down = (inverse.y_axis[r] - p * inverse.y_axis.z) * w;
-            let [xx, xy, yy] = fit.blur;
-            let square = xx * across * across + 2.0 * xy * across * down + yy * down * down;
-            widest = widest.max(square.sqrt() * half);
-        }
-    }
-    let narrow = widest < 0.48;
+    let narrow = fit.widest_cells(pattern.cells as f64)? < 0.48;
     let mut products = [[0.0f32; LANES]; PRODUCTS];
     let mut right = [[0.0f32; LANES]; ROWS];
     let mut weights = f32x8::splat(simd, 0.0);

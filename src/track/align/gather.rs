@@ -1,19 +1,33 @@
 //! Which pixels take part in the fit: those the blurred edges of the print reach, and a few of its flats.
+//!
+//! Every straight piece of an ink boundary, thickened by the kernel's half-width, is a box in the picture; row by row
+//! the boxes' spans become a bit mask. No pixel is asked on its own.
 
 use super::Fit;
-use super::pattern::{Pattern, STRIDE};
+use super::pattern::{MOST_CELLS, Pattern};
 use crate::geometry::Homography;
+use crate::track::MOST_SIDE_PX;
 use crate::track::decode::View;
 use crate::track::rectify::{self, Rectify};
-use fearless_simd::{Simd, SimdBase, SimdFrom, f32x8, i32x8, prelude::*};
+use fearless_simd::{Simd, f32x8, i32x8, prelude::*};
 use glam::{DMat3, DVec2};
 
 /// Most pixels a fit looks at: bounds the work on large markers.
 pub const MOST_SAMPLES: usize = 4096;
-/// Pixels taken at once.
+/// Pixels taken at once: a byte of the mask.
 const RUN: usize = 8;
 /// Cells of quiet zone that are looked at.
-const QUIET: f64 = 0.6;
+pub const QUIET: f64 = 0.45;
+/// Half-widths of the kernel that an edge reaches: the kernel may still grow.
+const REACH: f64 = 1.33;
+/// Of the pixels no edge reaches, every `RUN`th of every so manieth row takes part, for the levels.
+const FLAT_ROWS: usize = 2;
+const FLATS: u64 = 0x0101_0101_0101_0101;
+/// Kernels wider than this many cells, either way, reach nearly everything.
+const WIDE_CELLS: f64 = 0.75;
+/// Most pieces: every side of every cell.
+const MOST_PIECES: usize = 2 * (MOST_CELLS + 1) * MOST_CELLS / RUN * RUN + RUN;
+const WORDS: usize = MOST_SIDE_PX / 64 + 2;
 
 /// Pixels as the fit sees them.
 pub struct Samples {
@@ -27,7 +41,12 @@ pub struct Samples {
     pub count: usize,
     /// Whether nothing was left out.
     pub whole: bool,
+    reach: Reach,
+    mask: Mask,
 }
+
+/// A bit for every pixel of a row.
+type Mask = [u64; WORDS];
 
 impl Samples {
     /// None yet.
@@ -37,13 +56,13 @@ impl Samples {
         gray: [0.0; MOST_SAMPLES],
         count: 0,
         whole: false,
+        reach: Reach::NONE,
+        mask: [0; WORDS],
     };
 }
 
-/// Fills `samples` with about `most` pixels at most: runs are left out evenly where there would be more. An edge
-/// reaches `grow` kernel half-widths.
+/// Fills `samples` with about `most` pixels at most: runs are left out evenly where there would be more.
 #[inline(always)]
-#[expect(clippy::too_many_arguments, reason = "one kernel, called once")]
 pub fn gather<S: Simd>(
     simd: S,
     view: &View<'_>,
@@ -51,72 +70,87 @@ pub fn gather<S: Simd>(
     fit: &Fit,
     pattern: &Pattern,
     most: usize,
-    grow: f64,
     samples: &mut Samples,
 ) {
     samples.count = 0;
     samples.whole = true;
-    let map = Homography(fit.map);
-    let cells = pattern.cells as f64;
-    let blur = fit.blur.map(|v| v * grow * grow);
-    let reach_px = (0.5 * (blur[0] + blur[2])).sqrt() * fit.scale;
-    let quiet = QUIET;
-    let edge = 1.0 + 2.0 * quiet / cells;
-    let outer = [(-edge, edge), (edge, edge), (edge, -edge), (-edge, -edge)]
-        .map(|(x, y)| rectify::seen(view.lens, fit.center + map.apply(DVec2::new(x, y)) * fit.scale));
-    if !outer.iter().all(|p| p.is_finite()) {
-        return;
+    let place = Place { view, fit, map: Homography(fit.map), cells: pattern.cells as f64 };
+    let cells = place.cells;
+    let (Some(outer), size) = (place.square(-QUIET, cells + QUIET), view.luma.size()) else { return };
+    let hidden = match pattern.picture {
+        // what the picture's ink may reach is not known
+        Some([from, to]) => {
+            let wide = REACH * place.widest();
+            place.square(f64::from(from) - wide, f64::from(to) + wide)
+        }
+        None => None,
+    };
+    let hidden = hidden.map(|corners| Outline::new(&corners));
+    let outline = Outline::new(&outer);
+    let [low, high] = outline.rows(size.height);
+    let everything = REACH * place.widest() >= WIDE_CELLS;
+    if !everything {
+        samples.reach.lay(&place, pattern, rectify.bends());
     }
-    let inverse = fit.map.inverse();
-    if !inverse.is_finite() {
-        return;
-    }
-    // outer edge and about half of the inner cell edges, px along times px across
-    let edges = 4.0 + (cells - 2.0) * (cells - 1.0) / cells;
-    let expected = (edges * fit.scale * 2.0 * reach_px).min(1.3 * fit.scale * fit.scale);
-    let thin = ((expected / (0.9 * most as f64)) as usize + 1).max(1);
-    samples.whole = thin == 1;
-    let size = view.luma.size();
-    // distortion bends the outline by less than this
-    let slack = if view.lens.is_distorted() { 3.0 } else { 1.0 };
-    let (low, high) = outer.iter().fold((f64::MAX, f64::MIN), |(l, h), p| (l.min(p.y), h.max(p.y)));
-    let rows = (low - slack).max(0.0) as usize..((high + slack).max(0.0) as usize + 1).min(size.height);
-    let near =
-        Near { simd, inverse: f32s(&inverse), pattern, blur: blur.map(|v| v as f32), quiet: quiet as f32 };
-    let sides = [0, 1, 2, 3].map(|i| Side::new(outer[i], outer[(i + 1) % 4]));
-    for y in rows {
-        let Some([from, to]) = span(&sides, y as f64, slack) else { continue };
-        let from = from.max(0.0) as usize;
-        let to = (to.max(0.0) as usize + 1).min(size.width);
+    let area = outline.area();
+    let expected =
+        if everything { area } else { samples.reach.area.min(area) + area / (RUN * FLAT_ROWS) as f64 };
+    // runs are left out by a sequence that is even along every line
+    let share = most as f64 / expected.max(1.0);
+    samples.whole = share >= 1.0;
+    let limit = (share * 65536.0).min(65536.0) as u32;
+    let (center, scale) = (fit.center.as_vec2(), (1.0 / fit.scale) as f32);
+    for y in low..high {
+        let Some([from, to]) = outline.span(y as f64, size.width) else { continue };
+        let within = from / 64..(to - 1) / 64 + 1;
+        let mask = &mut samples.mask;
+        let flats = if y % FLAT_ROWS == 0 { FLATS << (y / FLAT_ROWS * 3 % RUN) } else { 0 };
+        mask[within.clone()].fill(if everything { !0 } else { flats });
+        if !everything {
+            samples.reach.row(simd, y, [from, to], mask);
+        }
+        mask[within.start] &= !0 << (from % 64);
+        mask[within.end - 1] &= !0 >> (63 - (to - 1) % 64);
+        if let Some(hidden) = &hidden
+            && let Some(span) = hidden.span(y as f64, size.width)
+        {
+            set::<false>(mask, [span[0].max(from), span[1].min(to)]);
+        }
         let line = view.luma.row(y);
-        // runs are left out slantwise: no edge runs along what is left out
-        let mut start = from + RUN * (y * 5 % thin);
-        while start < to {
-            let count = RUN.min(to - start);
-            if samples.count + RUN > MOST_SAMPLES {
-                return;
-            }
-            let (px, py) = rectify.run(simd, start, y);
-            let center = fit.center.as_vec2();
-            let scale = (1.0 / fit.scale) as f32;
-            let (x, y_at) = ((px - center.x) * scale, (py - center.y) * scale);
-            let mut taken = near.taken(x, y_at, (start + 2 * y) % 8);
-            if count < RUN {
-                taken &= (1 << count) - 1;
-            }
-            if taken != 0 {
-                let (xs, ys) = (x.as_slice(), y_at.as_slice());
-                while taken != 0 {
-                    let lane = taken.trailing_zeros() as usize % RUN;
-                    taken &= taken - 1;
-                    let at = samples.count;
-                    samples.x[at] = xs[lane];
-                    samples.y[at] = ys[lane];
-                    samples.gray[at] = f32::from(line[start + lane]);
-                    samples.count += 1;
+        for k in within {
+            let mut word = samples.mask[k];
+            while word != 0 {
+                let byte = word.trailing_zeros() as usize / RUN;
+                let taken = word >> (byte * RUN) & 0xff;
+                word &= !(0xff << (byte * RUN));
+                let run = k * (64 / RUN) + byte;
+                if (run as u32 * 49_471 + y as u32 * 37_345) & 0xffff >= limit {
+                    continue;
                 }
+                if samples.count + RUN > MOST_SAMPLES {
+                    return;
+                }
+                let (px, py) = rectify.run(simd, run * RUN, y);
+                let (x, y_at) = ((px - center.x) * scale, (py - center.y) * scale);
+                let mut gray = [0; RUN];
+                for (gray, pixel) in gray.iter_mut().zip(&line[run * RUN..]) {
+                    *gray = *pixel;
+                }
+                samples.push(x.into(), y_at.into(), gray, taken);
             }
-            start += RUN * thin;
+        }
+    }
+}
+
+impl Samples {
+    /// Takes the lanes whose bits are set; there is room for all.
+    #[inline(always)]
+    fn push(&mut self, x: [f32; RUN], y: [f32; RUN], gray: [u8; RUN], taken: u64) {
+        for lane in 0..RUN {
+            // overwritten by the next one where it is not taken
+            let at = self.count % MOST_SAMPLES;
+            (self.x[at], self.y[at], self.gray[at]) = (x[lane], y[lane], f32::from(gray[lane]));
+            self.count += (taken >> lane & 1) as usize;
         }
     }
 }
@@ -126,111 +160,233 @@ pub fn f32s(m: &DMat3) -> [[f32; 3]; 3] {
     [m.x_axis, m.y_axis, m.z_axis].map(|c| [c.x as f32, c.y as f32, c.z as f32])
 }
 
-/// A side of the outline, from its upper end.
-#[derive(Clone, Copy)]
-struct Side {
-    upper: DVec2,
-    lower: f64,
-    slope: f64,
+/// Where the print lies in the picture.
+struct Place<'a> {
+    view: &'a View<'a>,
+    fit: &'a Fit,
+    map: Homography,
+    cells: f64,
 }
 
-impl Side {
-    fn new(p: DVec2, q: DVec2) -> Self {
-        let (p, q) = if p.y <= q.y { (p, q) } else { (q, p) };
-        Self { upper: p, lower: q.y, slope: (q.x - p.x) / (q.y - p.y).max(1e-9) }
+impl Place<'_> {
+    /// Cell coordinates (from the border's top-left corner, down) → ideal pixels.
+    fn ideal(&self, u: f64, v: f64) -> DVec2 {
+        let to_square = 2.0 / self.cells;
+        let p = DVec2::new(u * to_square - 1.0, 1.0 - v * to_square);
+        self.fit.center + self.map.apply(p) * self.fit.scale
+    }
+
+    /// A square of the print from `low` to `high` cells either way, in seen pixels.
+    fn square(&self, low: f64, high: f64) -> Option<[DVec2; 4]> {
+        let corners = [(low, low), (high, low), (high, high), (low, high)]
+            .map(|(u, v)| rectify::seen(self.view.lens, self.ideal(u, v)));
+        corners.iter().all(|p| p.is_finite()).then_some(corners)
+    }
+
+    /// The kernel's half-width in cells where it is widest: at a corner.
+    fn widest(&self) -> f64 {
+        self.fit.widest_cells(self.cells).unwrap_or(f64::INFINITY)
+    }
+
+    /// The kernel's half-width, px, along a direction.
+    fn half_width(&self, unit: DVec2) -> f64 {
+        let [xx, xy, yy] = self.fit.blur;
+        let square = xx * unit.x * unit.x + 2.0 * xy * unit.x * unit.y + yy * unit.y * unit.y;
+        square.max(0.0).sqrt() * self.fit.scale
     }
 }
 
-/// Least and greatest x of the quadrilateral within `slack` of row `y`.
-fn span(sides: &[Side; 4], y: f64, slack: f64) -> Option<[f64; 2]> {
-    let (mut least, mut most) = (f64::MAX, f64::MIN);
-    let (top, bottom) = (y - slack, y + slack);
-    for side in sides {
-        if side.lower < top || side.upper.y > bottom {
-            continue;
+/// A convex outline in the picture by its sides, each from its upper end.
+struct Outline {
+    sides: [(DVec2, f64, f64); 4],
+    corners: [DVec2; 4],
+}
+
+impl Outline {
+    fn new(corners: &[DVec2; 4]) -> Self {
+        let side = |i: usize| {
+            let (p, q) = (corners[i], corners[(i + 1) % 4]);
+            let (p, q) = if p.y <= q.y { (p, q) } else { (q, p) };
+            (p, q.y, (q.x - p.x) / (q.y - p.y).max(1e-9))
+        };
+        Self { sides: [side(0), side(1), side(2), side(3)], corners: *corners }
+    }
+
+    fn area(&self) -> f64 {
+        let [a, b, c, d] = self.corners;
+        0.5 * (c - a).perp_dot(d - b).abs()
+    }
+
+    /// First row, and the one after the last.
+    fn rows(&self, height: usize) -> [usize; 2] {
+        let (low, high) =
+            self.corners.iter().fold((f64::MAX, f64::MIN), |(l, h), p| (l.min(p.y), h.max(p.y)));
+        [(low + 1.0).max(0.0) as usize, ((high + 1.0).max(0.0) as usize).min(height)]
+    }
+
+    /// First pixel in row `y`, and the one after the last.
+    fn span(&self, y: f64, width: usize) -> Option<[usize; 2]> {
+        let (mut least, mut most) = (f64::MAX, f64::MIN);
+        for &(upper, lower, slope) in &self.sides {
+            if lower >= y && upper.y <= y {
+                let x = upper.x + (y - upper.y) * slope;
+                (least, most) = (if x < least { x } else { least }, if x > most { x } else { most });
+            }
         }
-        for y in [top, bottom] {
-            let down = y.max(side.upper.y).min(side.lower) - side.upper.y;
-            let x = side.upper.x + down * side.slope;
-            (least, most) = (if x < least { x } else { least }, if x > most { x } else { most });
+        let from = (least + 1.0).max(0.0) as usize;
+        let to = ((most + 1.0).max(0.0) as usize).min(width);
+        (from < to).then_some([from, to])
+    }
+}
+
+/// Everything the print's edges reach: every piece of an ink boundary, thickened, as the two slabs that its box is cut
+/// from. Pieces are sorted by their first row; lanes past the last one hold nothing.
+struct Reach {
+    /// First and last row.
+    top: Lanes,
+    bottom: Lanes,
+    /// Middle.
+    x: Lanes,
+    y: Lanes,
+    /// Of the slab along the boundary, then of the one across: how its middle moves along a row from one row to the
+    /// next, and half its width along a row.
+    slope: [Lanes; 2],
+    half: [Lanes; 2],
+    /// The same as they come.
+    pieces: [Piece; MOST_PIECES],
+    count: usize,
+    /// Sum of the pieces' areas, px².
+    area: f64,
+    /// The pieces that the rows so far have met, and those of them that they have passed.
+    met: usize,
+    passed: usize,
+}
+
+type Lanes = [f32; MOST_PIECES];
+
+/// A piece before it is sorted in: rows, middle, slopes, half widths.
+type Piece = [f32; 8];
+
+impl Reach {
+    const NONE: Self = Self {
+        top: [0.0; MOST_PIECES],
+        bottom: [0.0; MOST_PIECES],
+        x: [0.0; MOST_PIECES],
+        y: [0.0; MOST_PIECES],
+        slope: [[0.0; MOST_PIECES]; 2],
+        half: [[0.0; MOST_PIECES]; 2],
+        pieces: [[0.0; 8]; MOST_PIECES],
+        count: 0,
+        area: 0.0,
+        met: 0,
+        passed: 0,
+    };
+
+    /// Lays out the pieces: boundaries between unlike cells, joined along a line where the lens keeps it straight.
+    fn lay(&mut self, place: &Place<'_>, pattern: &Pattern, bends: bool) {
+        (self.count, self.area, self.met, self.passed) = (0, 0.0, 0, 0);
+        for (upright, lines) in [true, false].into_iter().zip(&pattern.edges) {
+            for (line, &bits) in lines.iter().enumerate() {
+                let mut bits = u32::from(bits);
+                while bits != 0 {
+                    let from = bits.trailing_zeros();
+                    let length = if bends { 1 } else { (bits >> from).trailing_ones() };
+                    bits &= !(((1 << length) - 1) << from);
+                    self.add(place, line, [from, from + length], upright);
+                }
+            }
+        }
+        let pieces = &mut self.pieces[..self.count];
+        pieces.sort_unstable_by(|a, b| a[0].total_cmp(&b[0]));
+        let [slope_0, slope_1] = &mut self.slope;
+        let [half_0, half_1] = &mut self.half;
+        let lanes =
+            [&mut self.top, &mut self.bottom, &mut self.x, &mut self.y, slope_0, slope_1, half_0, half_1];
+        for (i, lane) in lanes.into_iter().enumerate() {
+            for (lane, piece) in lane.iter_mut().zip(&*pieces) {
+                *lane = piece[i];
+            }
+        }
+        // a last group is whole
+        let end = self.count.next_multiple_of(RUN).min(MOST_PIECES);
+        for half in &mut self.half {
+            half[self.count..end].fill(-1.0);
         }
     }
-    (least <= most).then_some([least - slack, most + slack])
-}
 
-/// The test whether an edge reaches a pixel.
-struct Near<'a, S: Simd> {
-    simd: S,
-    inverse: [[f32; 3]; 3],
-    pattern: &'a Pattern,
-    blur: [f32; 3],
-    quiet: f32,
-}
+    fn add(&mut self, place: &Place<'_>, line: usize, ends: [u32; 2], upright: bool) {
+        let [p, q] = ends.map(|k| {
+            let (u, v) = if upright { (line as f64, f64::from(k)) } else { (f64::from(k), line as f64) };
+            place.ideal(u, v)
+        });
+        let along = (q - p).normalize_or_zero();
+        let half_width = REACH * place.half_width(along.perp()) + 0.5;
+        let [p, q] = [p, q].map(|p| rectify::seen(place.view.lens, p));
+        let along = (q - p).normalize_or_zero();
+        let half_length = 0.5 * (q - p).length() + half_width;
+        if !(half_length.is_finite() && along != DVec2::ZERO) || self.count == MOST_PIECES {
+            return;
+        }
+        let middle = (p + q) * 0.5;
+        let tall = half_length * along.y.abs() + half_width * along.x.abs();
+        // of lines that run along a row or a column the other slab decides
+        let apart = |v: f64| if v.abs() < 1e-6 { 1e-6f64.copysign(v) } else { v };
+        let (x, y) = (apart(along.x), apart(along.y));
+        let piece = [
+            middle.y - tall,
+            middle.y + tall,
+            middle.x,
+            middle.y,
+            x / y,
+            -y / x,
+            half_width / y.abs(),
+            half_length / x.abs(),
+        ];
+        self.pieces[self.count] = piece.map(|v| v as f32);
+        self.count += 1;
+        self.area += 4.0 * half_width * (half_length - half_width);
+    }
 
-impl<S: Simd> Near<'_, S> {
-    /// One bit a lane: pixels an edge reaches, and lane `flat` where it lies on the print.
+    /// Sets the bits of the pixels reached in a row; rows must come in order.
     #[inline(always)]
-    fn taken(&self, x: f32x8<S>, y: f32x8<S>, flat: usize) -> u32 {
-        let simd = self.simd;
-        let m = &self.inverse;
-        let over = f32x8::splat(simd, 1.0) / (x * m[0][2] + y * m[1][2] + m[2][2]);
-        let px = (x * m[0][0] + y * m[1][0] + m[2][0]) * over;
-        let py = (x * m[0][1] + y * m[1][1] + m[2][1]) * over;
-        let cells = self.pattern.cells as f32;
-        let half = 0.5 * cells;
-        let (u, v) = (px * half + half, half - py * half);
-        let (low, high) = (f32x8::splat(simd, -self.quiet), f32x8::splat(simd, cells + self.quiet));
-        let mut inside = u.simd_ge(low) & u.simd_le(high) & v.simd_ge(low) & v.simd_le(high);
-        if !inside.any_true() {
-            return 0;
+    fn row<S: Simd>(&mut self, simd: S, y: usize, [from, to]: [usize; 2], mask: &mut Mask) {
+        let at = y as f32;
+        while self.met < self.count && self.top[self.met] <= at {
+            self.met += 1;
         }
-        // the kernel's half-width in cells: the gradient of the cell coordinate is cells per unit
-        let (ax, ay) = ((px * -m[0][2] + m[0][0]) * over, (px * -m[1][2] + m[1][0]) * over);
-        let (bx, by) = ((py * -m[0][2] + m[0][1]) * over, (py * -m[1][2] + m[1][1]) * over);
-        let [xx, xy, yy] = self.blur;
-        let wide_u = (ax * ax * xx + ax * ay * (2.0 * xy) + ay * ay * yy).sqrt() * half;
-        let wide_v = (bx * bx * xx + bx * by * (2.0 * xy) + by * by * yy).sqrt() * half;
-        if let Some([from, to]) = self.pattern.picture {
-            // what the picture's ink may reach is not known
-            let (from, to) = (f32x8::splat(simd, from), f32x8::splat(simd, to));
-            let touched = (u + wide_u).simd_gt(from)
-                & (u - wide_u).simd_lt(to)
-                & (v + wide_v).simd_gt(from)
-                & (v - wide_v).simd_lt(to);
-            inside &= !touched;
+        while self.passed < self.met && self.bottom[self.passed] < at {
+            self.passed += 1;
         }
-        let flats = inside.to_bitmask() as u32 & (1 << flat);
-        let (first, last) = (f32x8::splat(simd, 0.0), f32x8::splat(simd, cells));
-        let bu = (u + 0.5).floor().max(first).min(last);
-        let bv = (v + 0.5).floor().max(first).min(last);
-        let (du, dv) = (u - bu, v - bv);
-        let (near_u, near_v) = (du.abs().simd_lt(wide_u), dv.abs().simd_lt(wide_v));
-        let candidates = (near_u | near_v) & inside;
-        if !candidates.any_true() {
-            return flats;
+        for group in (self.passed / RUN * RUN..self.met).step_by(RUN) {
+            let lanes = |lanes: &Lanes| f32x8::from_slice(simd, &lanes[group..group + RUN]);
+            let down = f32x8::splat(simd, at) - lanes(&self.y);
+            let (a, b) = (down * lanes(&self.slope[0]), down * lanes(&self.slope[1]));
+            let (wide_a, wide_b) = (lanes(&self.half[0]), lanes(&self.half[1]));
+            // from the first pixel inside to the one after the last
+            let middle = lanes(&self.x) + 1.0;
+            let low = (a - wide_a).max(b - wide_b) + middle;
+            let high = (a + wide_a).min(b + wide_b) + middle;
+            let start: i32x8<S> =
+                low.max(f32x8::splat(simd, from as f32)).min(f32x8::splat(simd, to as f32)).to_int();
+            let end: i32x8<S> = high.min(f32x8::splat(simd, to as f32)).max(f32x8::splat(simd, 0.0)).to_int();
+            for (start, end) in start.as_slice().iter().zip(end.as_slice()) {
+                if start < end {
+                    set::<true>(mask, [*start as usize, *end as usize]);
+                }
+            }
         }
-        // a kernel wider than a cell nearly always sees an edge
-        let wide = f32x8::splat(simd, 0.5);
-        if (wide_u.simd_ge(wide) | wide_v.simd_ge(wide)).any_true() {
-            return candidates.to_bitmask() as u32 | flats;
-        }
-        let at: i32x8<S> = (bv * STRIDE as f32 + bu).to_int();
-        let mut codes = [0i32; RUN];
-        for (code, &at) in codes.iter_mut().zip(at.as_slice()) {
-            *code = i32::from(self.pattern.around[at as usize % (STRIDE * STRIDE)]);
-        }
-        let code = i32x8::simd_from(simd, codes);
-        // the four cells that touch the junction are bits 5, 6 (above) and 9, 10
-        let across = code ^ (code >> 1);
-        let down = code ^ (code >> 4);
-        let zero = i32x8::splat(simd, 0);
-        let (above, left) = (dv.simd_lt(first), du.simd_lt(first));
-        // where the cells on either side of the boundary differ, in this pixel's row or, near it, the next
-        let upper = (across & i32x8::splat(simd, 1 << 5)).simd_gt(zero) & (above | near_v);
-        let lower = (across & i32x8::splat(simd, 1 << 9)).simd_gt(zero) & (!above | near_v);
-        let before = (down & i32x8::splat(simd, 1 << 5)).simd_gt(zero) & (left | near_u);
-        let after = (down & i32x8::splat(simd, 1 << 6)).simd_gt(zero) & (!left | near_u);
-        let seen = (near_u & (upper | lower)) | (near_v & (before | after));
-        (seen & inside).to_bitmask() as u32 | flats
+    }
+}
+
+/// Sets or clears the bits from the first to before the second.
+#[inline(always)]
+fn set<const ON: bool>(mask: &mut Mask, [from, to]: [usize; 2]) {
+    let mut at = from;
+    while at < to {
+        let end = (at / 64 + 1) * 64;
+        let bits = (!0u64 << (at % 64)) & (!0u64 >> (end - end.min(to)));
+        let word = &mut mask[at / 64 % WORDS];
+        *word = if ON { *word | bits } else { *word & !bits };
+        at = end;
     }
 }

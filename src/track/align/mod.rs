@@ -36,15 +36,16 @@ const START_SIGMA_PX: f64 = 0.7;
 /// Least and most blur, px.
 const SIGMA_PX: [f64; 2] = [0.3, 5.0];
 /// Most Gauss-Newton steps on the thin set and on the whole one.
-const STEPS: [usize; 2] = [6, 3];
+const STEPS: [usize; 2] = [6, 5];
 /// The same where the fit must settle.
 const PATIENCE: [usize; 2] = [8, 6];
 /// A fit whose last step was longer has not settled, px.
 const SETTLED_PX: f64 = 0.25;
 /// Steps on the thin set after which the equations keep their matrix, where the blur is known.
 const FRESH: usize = 3;
-/// A step shorter than this, px, was the last one on either set.
-const ENOUGH_PX: [f64; 2] = [0.1, 0.1];
+/// A step shorter than this, px, was the last one: on the thin set or where the next picture goes on, and on the whole
+/// set.
+const ENOUGH_PX: [f64; 2] = [0.1, 0.02];
 /// Pixels of the thin set.
 const THIN_SAMPLES: usize = 500;
 /// Homography, black and step levels, the kernel's extent.
@@ -156,8 +157,8 @@ fn align_with(
         }
         let known = start.blur.is_some();
         let steps = if known { PATIENCE } else { STEPS }[usize::from(whole)];
-        let (most, grow) = if whole { (most, 1.15) } else { (THIN_SAMPLES, 1.33) };
-        dispatch!(level, simd => gather::gather(simd, view, rectify, &fit, pattern, most, grow, samples));
+        let most = if whole { most } else { THIN_SAMPLES };
+        dispatch!(level, simd => gather::gather(simd, view, rectify, &fit, pattern, most, samples));
         if samples.count < 4 * UNKNOWNS {
             return None;
         }
@@ -173,7 +174,7 @@ fn align_with(
             let moved = fit.step(&sums, contrast.abs())?;
             last = Some(sums);
             settled = moved < SETTLED_PX;
-            if moved < ENOUGH_PX[usize::from(whole)] {
+            if moved < ENOUGH_PX[usize::from(whole && !known)] {
                 break;
             }
         }
@@ -306,6 +307,23 @@ impl Fit {
         0.5 * (self.blur[0] + self.blur[2])
     }
 
+    /// The kernel's half-width in cells of a print of so many where it is widest: at one of its corners. `None` where
+    /// the map has no inverse.
+    fn widest_cells(&self, cells: f64) -> Option<f64> {
+        let inverse = self.map.inverse();
+        let [xx, xy, yy] = self.blur;
+        let mut widest = 0.0f64;
+        for (x, y) in [(-1.0, 1.0), (1.0, 1.0), (1.0, -1.0), (-1.0, -1.0)] {
+            let w = self.map.x_axis.z * x + self.map.y_axis.z * y + self.map.z_axis.z;
+            for (r, p) in [x, y].into_iter().enumerate() {
+                let across = (inverse.x_axis[r] - p * inverse.x_axis.z) * w;
+                let down = (inverse.y_axis[r] - p * inverse.y_axis.z) * w;
+                widest = widest.max(xx * across * across + 2.0 * xy * across * down + yy * down * down);
+            }
+        }
+        inverse.is_finite().then(|| widest.sqrt() * 0.5 * cells)
+    }
+
     /// Adds to the blur, by at most about half of it, and keeps it within `SIGMA_PX` every way.
     fn widen(&mut self, step: [f64; 3]) {
         let [xx, xy, yy] = self.blur;
@@ -382,12 +400,41 @@ mod tests {
         let fit = Fit { map, center, scale, levels, blur, reach, rigid: false };
         let mut samples = Samples::NONE;
         let level = simd::best();
-        dispatch!(level, simd => gather::gather(simd, &view, &rectify, &fit, &pattern, 4000, 1.3, &mut samples));
+        dispatch!(level, simd => gather::gather(simd, &view, &rectify, &fit, &pattern, 4000, &mut samples));
         assert!(samples.count > 200);
         (samples, pattern, fit)
     }
 
     const PRINT: (Family, u32) = (Family::Tag36h11, 7);
+
+    /// Every pixel of the print that an edge reaches takes part once, and few others do; where not all fit, as many
+    /// as asked for.
+    #[test]
+    fn pixels_that_edges_reach_take_part() {
+        for cell_px in [11.0, 6.0, 4.0, 2.5] {
+            let (samples, _, fit) = askew(cell_px, 40.0);
+            let mut taken = std::collections::BTreeSet::new();
+            for (x, y) in samples.x[..samples.count].iter().zip(&samples.y) {
+                let p = fit.center + DVec2::new(f64::from(*x), f64::from(*y)) * fit.scale;
+                assert!((p - p.round()).abs().max_element() < 1e-3);
+                assert!(taken.insert((p.x.round() as i32, p.y.round() as i32)), "{p} twice");
+            }
+            if !samples.whole {
+                assert!(cell_px == 11.0 && (2000..=4000).contains(&samples.count), "{}", samples.count);
+                continue;
+            }
+            let (mut reached, mut spare) = (0, 0);
+            for (x, y) in (0..110).flat_map(|y| (0..120).map(move |x| (x, y))) {
+                let p = (DVec2::new(f64::from(x), f64::from(y)) - fit.center) / fit.scale;
+                let (on_print, sees_edge) = reference::reach(PRINT.0, PRINT.1, &fit, p);
+                let took = taken.contains(&(x, y));
+                assert!(took || !(on_print && sees_edge), "cell {cell_px} px: {x} {y} is left out");
+                reached += usize::from(took && sees_edge);
+                spare += usize::from(took && !sees_edge);
+            }
+            assert!(2 * spare < reached, "cell {cell_px} px: {spare} spare ones, {reached} reached");
+        }
+    }
 
     /// The same sums as in plain f64, to what f32 leaves of them, and the same bits at every SIMD level.
     #[test]

@@ -13,6 +13,9 @@ pub const STRIDE: usize = 16;
 pub struct Pattern {
     /// Junction (column, row) counted from the border's top-left corner, at `row · STRIDE + column`.
     pub around: [u16; STRIDE * STRIDE],
+    /// Where the ink changes: along every line of junctions, upright and level ones, a bit for every side between
+    /// junctions whose cells differ.
+    pub edges: [[u16; MOST_CELLS + 1]; 2],
     /// Cells along the border's outer edge.
     pub cells: usize,
     /// From which to before which cell along both sides the print is a picture that is not known.
@@ -38,10 +41,20 @@ impl Pattern {
                 around[row * STRIDE + column] = bits;
             }
         }
+        let mut edges = [[0; MOST_CELLS + 1]; 2];
+        for line in 0..=cells {
+            for k in 0..cells {
+                // the cells beside the junction's lower and right side
+                let upright = around[k * STRIDE + line] >> 9;
+                let level = around[line * STRIDE + k];
+                edges[0][line] |= ((upright ^ upright >> 1) & 1) << k;
+                edges[1][line] |= ((level >> 6 ^ level >> 10) & 1) << k;
+            }
+        }
         let middle = (cells / 2) as isize;
         let first = (0..middle).find(|&column| family.ink(code, column, middle) == Ink::Picture);
         let picture = first.map(|border| [border as f32, (cells as isize - border) as f32]);
-        Some(Self { around, cells, picture })
+        Some(Self { around, edges, cells, picture })
     }
 
     /// The ink of a cell; column and row count from the border's top-left cell and stay inside it.

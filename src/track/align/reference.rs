@@ -3,7 +3,7 @@
 
 use super::Fit;
 use super::equations::Sums;
-use super::gather::Samples;
+use super::gather::{QUIET, Samples};
 use crate::marker::{Family, Ink};
 use glam::DVec2;
 
@@ -90,6 +90,14 @@ fn row(family: Family, id: u32, fit: &Fit, p: DVec2, gray: f64) -> (f64, [f64; s
     ];
     let root = 1.0 / (1.0 + (miss / fit.reach) * (miss / fit.reach));
     (miss, derivatives, root * root)
+}
+
+/// Whether a place is on the print or the quiet zone that is looked at, and whether an edge's kernel reaches it.
+pub fn reach(family: Family, id: u32, fit: &Fit, p: DVec2) -> (bool, bool) {
+    let q = fit.map.inverse() * p.extend(1.0);
+    let within = (q.truncate() / q.z).abs().max_element() < 1.0 + 2.0 * QUIET / family.cells() as f64;
+    let (_, derivatives, _) = row(family, id, fit, p, 0.0);
+    (within, derivatives[2].hypot(derivatives[5]) > 1e-6)
 }
 
 /// The equations of the samples.
