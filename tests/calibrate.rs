@@ -111,7 +111,10 @@ fn the_lens_that_drew_the_pictures_is_found_again() {
     for ending in ["toml", "yaml", "ros.yaml"] {
         let path = here.join(format!("lens.{ending}"));
         let read = LensConfig::read(&path).expect("a calibration");
-        assert_eq!((read.fx, read.cy, read.dist[0]), (value("fx"), value("cy"), value("k1")), "{ending}");
+        for (read, name) in [(read.fx, "fx"), (read.cy, "cy"), (read.dist[0], "k1")] {
+            // the test's reader of JSON rounds the last bit as it likes
+            assert!((read - value(name)).abs() <= f64::EPSILON * read.abs(), "{ending}: {name} {read}");
+        }
         let plan = vernissage(&["plan", "--model", "teapot", "--lens", text(&path)]);
         assert!(String::from_utf8_lossy(&plan.stdout).contains("lens    calibrated, 640x480"), "{ending}");
     }
