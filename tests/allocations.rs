@@ -6,8 +6,7 @@
 mod counting;
 
 use clap::ValueEnum;
-use counting::ALLOCATIONS;
-use std::sync::atomic::Ordering;
+use counting::{watch, watched};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use vernissage::camera::{Synthetic, SyntheticConfig};
 use vernissage::display::Sink;
@@ -39,7 +38,8 @@ fn three_hundred_frames_allocate_nothing_in_any_style() {
     let _alone = alone();
     let size = Size::new(320, 240);
     let settings = SyntheticConfig { samples: 1, pace: 3.0, ..SyntheticConfig::default() };
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(2).build().expect("a pool");
+    let pool =
+        rayon::ThreadPoolBuilder::new().num_threads(2).start_handler(|_| watch()).build().expect("a pool");
     pool.install(|| {
         for &name in StyleName::value_variants() {
             let style = style::Config { name, ..style::Config::default() };
@@ -53,7 +53,7 @@ fn three_hundred_frames_allocate_nothing_in_any_style() {
             // warm-up: as long as it takes to see the whole path once, so that every buffer has its size
             for number in 0..600 {
                 if number == 300 {
-                    before = ALLOCATIONS.load(Ordering::Relaxed);
+                    before = watched();
                     seen = 0;
                 }
                 assert!(camera.next(&mut frame));
@@ -61,7 +61,7 @@ fn three_hundred_frames_allocate_nothing_in_any_style() {
                 seen += usize::from(drawn.models == 1);
                 sink.present(drawn.canvas).expect("nowhere takes everything");
             }
-            let allocated = ALLOCATIONS.load(Ordering::Relaxed) - before;
+            let allocated = watched() - before;
             assert!(seen > 285, "{name}: the teapot was drawn in only {seen} of 300 frames");
             assert_eq!(allocated, 0, "{name}: {allocated} allocations in 300 frames");
         }
@@ -74,7 +74,8 @@ fn with_every_option_on_switching_allocates_between_frames_only() {
     let size = Size::new(320, 240);
     // always the same picture: how full it is may not matter here
     let settings = SyntheticConfig { samples: 1, pace: 0.0, noise: 0.0, ..SyntheticConfig::default() };
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(2).build().expect("a pool");
+    let pool =
+        rayon::ThreadPoolBuilder::new().num_threads(2).start_handler(|_| watch()).build().expect("a pool");
     let cycle = StyleName::value_variants().to_vec();
     let part = toml::from_str("of = \"object\"").expect("a valid table");
     let config = style::Config {
@@ -103,9 +104,9 @@ fn with_every_option_on_switching_allocates_between_frames_only() {
                 (0, round) if round > 0 => pipeline.step_style(1),
                 _ => {}
             }
-            let before = ALLOCATIONS.load(Ordering::Relaxed);
+            let before = watched();
             faded += usize::from(pipeline.draw_frame(&frame).plan.fade.runs);
-            let allocated = ALLOCATIONS.load(Ordering::Relaxed) - before;
+            let allocated = watched() - before;
             if number >= 12 && allocated > 0 {
                 inside.push((number, allocated));
             }
@@ -120,7 +121,8 @@ fn the_governors_steps_allocate_nothing() {
     let _alone = alone();
     let size = Size::new(320, 240);
     let settings = SyntheticConfig { samples: 1, pace: 0.0, noise: 0.0, ..SyntheticConfig::default() };
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(2).build().expect("a pool");
+    let pool =
+        rayon::ThreadPoolBuilder::new().num_threads(2).start_handler(|_| watch()).build().expect("a pool");
     pool.install(|| {
         for &name in StyleName::value_variants() {
             let config = style::Config { name, ..style::Config::default() };
@@ -132,12 +134,12 @@ fn the_governors_steps_allocate_nothing() {
             let (mut pictures, mut inside) = (Vec::new(), Vec::new());
             for number in 0..24 {
                 assert!(camera.next(&mut frame));
-                let before = ALLOCATIONS.load(Ordering::Relaxed);
+                let before = watched();
                 if number % 4 == 0 {
                     pipeline.set_quality(number / 4 % 3);
                 }
                 pipeline.draw_frame(&frame);
-                let allocated = ALLOCATIONS.load(Ordering::Relaxed) - before;
+                let allocated = watched() - before;
                 if number >= 4 && allocated > 0 {
                     inside.push((number, allocated));
                 }

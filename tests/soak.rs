@@ -6,7 +6,7 @@
 #[path = "common/counting.rs"]
 mod counting;
 
-use counting::own;
+use counting::{watch, watched};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 use vernissage::display::{Composer, Filter, Layout as Place, Rotate, Scale, Sink};
@@ -65,19 +65,17 @@ fn two_million_frames() {
             let taken = &taken;
             let warm = 2_000;
             let source = scope.spawn(move || {
-                let mut before = 0;
+                watch();
                 for sequence in 0..frames {
-                    if sequence == warm {
-                        before = own();
-                    }
                     while taken.load(Ordering::Acquire) < sequence {
                         std::thread::park();
                     }
                     paint(sequence, &mut writer.buffer());
                     writer.publish();
                 }
-                own() - before
             });
+            // all work is done on these two threads
+            watch();
             let (mut next, mut before, mut memory) = (0, 0, 0);
             while next < frames {
                 let frame = reader.next(Duration::from_secs(60)).expect("the source runs");
@@ -102,14 +100,13 @@ fn two_million_frames() {
                 next += 1;
                 if next == warm {
                     memory = resident();
-                    before = own();
+                    before = watched();
                 }
                 taken.store(next, Ordering::Release);
                 source.thread().unpark();
             }
-            // all work is done on these two threads
-            let of_loop = own() - before;
-            let allocated = of_loop + source.join().expect("the source ends");
+            source.join().expect("the source ends");
+            let allocated = watched() - before;
             let grown = resident().saturating_sub(memory);
             eprintln!("{frames} frames: {allocated} allocations after the first {warm}, memory grew by {grown} bytes");
             assert_eq!(allocated, 0);

@@ -4,23 +4,29 @@ use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// Allocations so far, in all threads.
-pub static ALLOCATIONS: AtomicU64 = AtomicU64::new(0);
+/// Allocations so far in the threads that are watched: the test runner's own thread speaks up, and allocates, when a test
+/// takes a minute.
+static WATCHED: AtomicU64 = AtomicU64::new(0);
 
 thread_local! {
-    static OWN: Cell<u64> = const { Cell::new(0) };
+    static IS_WATCHED: Cell<bool> = const { Cell::new(false) };
 }
 
-/// Allocations so far in this thread: the test runner's own thread speaks up when a test takes a minute.
-#[allow(dead_code)] // not every binary that includes this asks
-pub fn own() -> u64 {
-    OWN.get()
+/// From now on this thread's allocations count.
+pub fn watch() {
+    IS_WATCHED.set(true);
+}
+
+/// Allocations so far in all threads that are watched.
+pub fn watched() -> u64 {
+    WATCHED.load(Ordering::Relaxed)
 }
 
 fn count() {
-    ALLOCATIONS.fetch_add(1, Ordering::Relaxed);
-    // a thread that ends has no count any more
-    let _ = OWN.try_with(|own| own.set(own.get() + 1));
+    // a thread that ends is watched no more
+    if IS_WATCHED.try_with(Cell::get).unwrap_or(false) {
+        WATCHED.fetch_add(1, Ordering::Relaxed);
+    }
 }
 
 struct Counting;
