@@ -97,7 +97,7 @@ pub fn reach(family: Family, id: u32, fit: &Fit, p: DVec2) -> (bool, bool) {
     let q = fit.map.inverse() * p.extend(1.0);
     let within = (q.truncate() / q.z).abs().max_element() < 1.0 + 2.0 * QUIET / family.cells() as f64;
     let (_, derivatives, _) = row(family, id, fit, p, 0.0);
-    (within, derivatives[2].hypot(derivatives[5]) > 1e-6)
+    (within, derivatives[2].abs().max(derivatives[5].abs()) > 1e-6)
 }
 
 /// The equations of the samples.
