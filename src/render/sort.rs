@@ -182,13 +182,13 @@ fn edge<S: Simd>(simd: S, at: Side<S>, from: Side<S>, to: Side<S>) -> (i32x8<S>,
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
     use crate::pixels::SplitMix64;
     use crate::pixels::simd::{self, dispatch};
 
     /// Whether a pixel center is inside, by the contract's words.
-    fn covers(p: [Spot; 3], x: i64, y: i64) -> bool {
+    pub fn covers(p: [Spot; 3], x: i64, y: i64) -> bool {
         (0..3).all(|k| {
             let [[x0, y0], [x1, y1]] = [p[k], p[(k + 1) % 3]].map(|spot| spot.map(i64::from));
             let side = (x1 - x0) * (256 * y - y0) - (y1 - y0) * (256 * x - x0);

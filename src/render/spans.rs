@@ -143,20 +143,11 @@ mod tests {
     use crate::pixels::simd::{self, Level, dispatch};
     use crate::pixels::{SplitMix64, TILE};
     use crate::render::sort::SMALL;
+    use crate::render::sort::tests::covers;
     use fearless_simd::SimdFrom;
 
     /// Where areas begin in the slot.
     const AT: i32 = 7;
-
-    /// Whether a pixel center is inside, by the contract's words.
-    fn covers(p: [Spot; 3], x: i64, y: i64) -> bool {
-        (0..3).all(|k| {
-            let [[x0, y0], [x1, y1]] = [p[k], p[(k + 1) % 3]].map(|spot| spot.map(i64::from));
-            let side = (x1 - x0) * (256 * y - y0) - (y1 - y0) * (256 * x - x0);
-            let top_left = y1 < y0 || (y1 == y0 && x1 > x0);
-            side > 0 || (side == 0 && top_left)
-        })
-    }
 
     /// What of the area is covered is one run in each row, and it is that of the rows.
     fn check(area: Bounds, p: [Spot; 3], rows: &[Row], k: usize, name: &str) -> usize {
