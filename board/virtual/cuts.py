@@ -40,7 +40,7 @@ number=$(cat /host/number)
 STATE_DIRECTORY=/disk/state vernissage run --wait --config /disk/visor.toml --status /tmp/status.json > /tmp/out 2> /tmp/err &
 pid=$!
 for i in $(seq 100); do grep -q '"shown": [1-9]' /tmp/status.json 2> /dev/null && break; sleep .1; done
-echo BOARD: found $(grep '"style"' /tmp/status.json | head -1 | tr -d '",' | cut -d: -f2) \
+echo BOARD: found $(grep '"style": "' /tmp/status.json | head -1 | tr -d '",' | cut -d: -f2) \
   $(grep '"refused"' /tmp/status.json | grep -vc null) $(cat /tmp/err | grep -c 'settings as they were last')
 while kill -0 $pid; do
   number=$((number + 1))
@@ -72,7 +72,8 @@ def cuts(folder, full):
         (host / f"settings.{number}").write_text(text)
     (host / "run.sh").write_text(SCRIPT)
     chance = random.Random(1971)
-    number, good, refused, kept, between = 0, 0, 0, 0, 0
+    number, force = 0, style(0)
+    good, refused, kept, between = 0, 0, 0, 0
     for cut in range(times + 1):
         (host / "number").write_text(str(number))
         board = Board(folder, "cuts", ["-drive", f"file={disk.name},if=virtio,format=raw", *PLAIN_KERNEL])
@@ -81,13 +82,14 @@ def cuts(folder, full):
                 note(f"cut {cut}: no picture after it")
                 break
             found, told, last = (board.said("found").split() + ["", "0", "0"])[:3]
-            # what was begun last, or what was there before it
-            fits = found in (style(number), style(max(number - 1, 0)))
+            # what was begun last, or what was in force before the cut
+            fits = found in (style(number), force)
             good += fits
             refused += told != "0"
             kept += last != "0"
             if not fits:
-                note(f"cut {cut}: found {found}, settings {number} were being written: {style(number)}")
+                note(f"cut {cut}: found {found}; {force} was in force, {style(number)} being written")
+            force = found
             if cut == times:
                 break
             end = time.monotonic() + 20
@@ -99,6 +101,7 @@ def cuts(folder, full):
         begun = [int(line.split("-")[1]) for line in board.lines if line.startswith("BOARD: begins-")]
         done = [int(line.split("-")[1]) for line in board.lines if line.startswith("BOARD: kept-")]
         number = max(begun, default=number)
+        force = style(max(done)) if done else force
         between += number not in done
     for old in [*host.glob("settings.*"), host / "number"]:
         old.unlink()
