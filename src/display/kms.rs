@@ -11,6 +11,7 @@ use super::xrgb::Hash;
 use super::{Composer, Config, DisplayError, Shown, Xrgb};
 use crate::frame::now;
 use crate::pixels::{Rgb, Size};
+use drm::Device as _;
 use drm::buffer::{Buffer as _, DrmFourcc};
 use drm::control::connector::State;
 use drm::control::dumbbuffer::{DumbBuffer, DumbMapping};
@@ -49,6 +50,12 @@ impl Kms {
     /// Finds the screen, sets its mode and shows black.
     pub fn open(config: &Config, canvas: Size) -> Result<Self, DisplayError> {
         let screen = Screen::find(config, config.layout().mode(canvas))?;
+        // who else has it is told before anything is made for it: a screen in other hands is asked for again and again
+        if let Err(error) = screen.card.acquire_master_lock()
+            && matches!(error.kind(), ErrorKind::PermissionDenied | ErrorKind::ResourceBusy)
+        {
+            return Err(DisplayError::Owned { card: screen.card.path.clone() });
+        }
         let size = mode_size(&screen.mode);
         let before = screen.card.get_crtc(screen.crtc).ok();
         let mut kms = Self {
