@@ -72,7 +72,7 @@ fn markers_at_rest_are_still() {
         still.steady, still.drawn
     );
     assert_eq!((still.steady, still.drawn), (18, 18));
-    assert!(median <= 0.016, "{median}");
+    assert!(median <= 0.008, "{median}");
     assert!(by_noise.is_sorted(), "{by_noise:?}");
 }
 

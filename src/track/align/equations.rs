@@ -15,7 +15,10 @@ const LANES: usize = 8;
 const GROUPS: usize = 4;
 /// Rows of a block: the unknowns' derivatives and the residual.
 const ROWS: usize = UNKNOWNS + 1;
-const PRODUCTS: usize = UNKNOWNS * (UNKNOWNS + 1) / 2;
+/// Products of rows two by two, those of a row with itself and the rows before it after those of the row before.
+const PRODUCTS: usize = ROWS * (ROWS + 1) / 2;
+/// Where those of the residual begin.
+const RIGHT: usize = PRODUCTS - ROWS;
 /// A·step = b (A's lower triangle), the weighted sum of squared residuals and the sum of weights.
 pub struct Sums {
     pub a: [[f64; UNKNOWNS]; UNKNOWNS],
@@ -51,7 +54,6 @@ pub fn normal<S: Simd>(
     // the widest the kernel is in cells decides how many cells a pixel may see
     let narrow = fit.widest_cells(pattern.cells as f64)? < 0.48;
     let mut products = [[0.0f32; LANES]; PRODUCTS];
-    let mut right = [[0.0f32; LANES]; ROWS];
     let mut weights = f32x8::splat(simd, 0.0);
     let count = samples.count.min(MOST_SAMPLES);
     let mut block: Block = [[[0.0; LANES]; GROUPS]; ROWS];
@@ -68,25 +70,26 @@ pub fn normal<S: Simd>(
                 weights += model.rows::<3>(samples, at, count, g, &mut block);
             }
         }
-        accumulate(simd, &block, UNKNOWNS, &mut right);
         if products_too {
             let mut k = 0;
-            for row in 0..UNKNOWNS {
-                accumulate(simd, &block, row, &mut products[k..=k + row]);
-                k += row + 1;
+            for row in (0..ROWS).step_by(2) {
+                accumulate_two(simd, &block, row, &mut products[k..k + 2 * row + 3]);
+                k += 2 * row + 3;
             }
+        } else {
+            accumulate(simd, &block, UNKNOWNS, &mut products[RIGHT..]);
         }
     }
     let total = |lanes: &[f32]| lanes.iter().map(|v| f64::from(*v)).sum::<f64>();
     let mut sums = Sums {
         a: [[0.0; UNKNOWNS]; UNKNOWNS],
         b: [0.0; UNKNOWNS],
-        squares: total(&right[UNKNOWNS]),
+        squares: total(&products[RIGHT + UNKNOWNS]),
         weights: total(weights.as_slice()),
     };
     let mut k = 0;
-    for (row, right) in right[..UNKNOWNS].iter().enumerate() {
-        sums.b[row] = total(right);
+    for row in 0..UNKNOWNS {
+        sums.b[row] = total(&products[RIGHT + row]);
         for column in 0..=row {
             sums.a[row][column] = total(&products[k]);
             k += 1;
@@ -108,6 +111,38 @@ fn accumulate<S: Simd>(simd: S, block: &Block, row: usize, sums: &mut [[f32; LAN
         let here = f32x8::from_slice(simd, &sum[..]) + here;
         sum.copy_from_slice(here.as_slice());
     }
+}
+
+/// The same for the row after it as well, its products following: what is read serves both.
+#[inline(always)]
+fn accumulate_two<S: Simd>(simd: S, block: &Block, row: usize, sums: &mut [[f32; LANES]]) {
+    let (first, second) = sums.split_at_mut(row + 1);
+    let a0 = f32x8::from_slice(simd, &block[row][0]);
+    let a1 = f32x8::from_slice(simd, &block[row][1]);
+    let a2 = f32x8::from_slice(simd, &block[row][2]);
+    let a3 = f32x8::from_slice(simd, &block[row][3]);
+    let b0 = f32x8::from_slice(simd, &block[row + 1][0]);
+    let b1 = f32x8::from_slice(simd, &block[row + 1][1]);
+    let b2 = f32x8::from_slice(simd, &block[row + 1][2]);
+    let b3 = f32x8::from_slice(simd, &block[row + 1][3]);
+    for ((one, two), other) in first.iter_mut().zip(second.iter_mut()).zip(block) {
+        let c = f32x8::from_slice(simd, &other[0]);
+        let (mut a, mut b) = (a0 * c, b0 * c);
+        let c = f32x8::from_slice(simd, &other[1]);
+        (a, b) = (a + a1 * c, b + b1 * c);
+        let c = f32x8::from_slice(simd, &other[2]);
+        let (mut a_more, mut b_more) = (a2 * c, b2 * c);
+        let c = f32x8::from_slice(simd, &other[3]);
+        (a_more, b_more) = (a_more + a3 * c, b_more + b3 * c);
+        let here = f32x8::from_slice(simd, &one[..]) + (a + a_more);
+        one.copy_from_slice(here.as_slice());
+        let here = f32x8::from_slice(simd, &two[..]) + (b + b_more);
+        two.copy_from_slice(here.as_slice());
+    }
+    let here = (b0 * b0 + b1 * b1) + (b2 * b2 + b3 * b3);
+    let last = &mut second[row + 1];
+    let here = f32x8::from_slice(simd, &last[..]) + here;
+    last.copy_from_slice(here.as_slice());
 }
 
 /// The fit's numbers as the kernel uses them.

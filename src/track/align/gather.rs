@@ -13,7 +13,7 @@ use fearless_simd::{Simd, f32x8, i32x8, prelude::*};
 use glam::{DMat3, DVec2};
 
 /// Most pixels a fit looks at: bounds the work on large markers.
-pub const MOST_SAMPLES: usize = 4096;
+pub const MOST_SAMPLES: usize = 3072;
 /// Pixels taken at once: a byte of the mask.
 const RUN: usize = 8;
 /// Cells of quiet zone that are looked at.

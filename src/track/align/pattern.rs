@@ -30,15 +30,19 @@ impl Pattern {
         if cells > MOST_CELLS {
             return None;
         }
+        // a bit for every cell of a row, two cells around the border as well
+        let mut white = [0u16; MOST_CELLS + 4];
+        for (row, bits) in white.iter_mut().enumerate().take(cells + 4) {
+            for column in 0..cells + 4 {
+                let ink = family.ink(code, column as isize - 2, row as isize - 2);
+                *bits |= u16::from(ink == Ink::White) << column;
+            }
+        }
         let mut around = [0; STRIDE * STRIDE];
         for row in 0..=cells {
             for column in 0..=cells {
-                let mut bits = 0;
-                for k in 0..16 {
-                    let (x, y) = (column as isize + k % 4 - 2, row as isize + k / 4 - 2);
-                    bits |= u16::from(family.ink(code, x, y) == Ink::White) << k;
-                }
-                around[row * STRIDE + column] = bits;
+                let four = |k: usize| (white[row + k] >> column & 0xf) << (4 * k);
+                around[row * STRIDE + column] = four(0) | four(1) | four(2) | four(3);
             }
         }
         let mut edges = [[0; MOST_CELLS + 1]; 2];

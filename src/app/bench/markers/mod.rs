@@ -289,7 +289,7 @@ impl Setup {
         setup
     }
 
-    /// Still set: one marker, side 20-180 px, tilt 2-65°; `kind` chooses σ 2, 5 or 10.
+    /// Still set: one sharp marker, side 20-180 px (all as likely), tilt 2-65°; `kind` chooses σ 2, 5 or 10.
     pub fn still(rng: &mut SplitMix64, size: Size, family: Family, kind: usize) -> Self {
         let mut setup = Self {
             lens: random_lens(rng, size, false),
@@ -298,11 +298,12 @@ impl Setup {
             inks: [30.0, 220.0],
             background: Background::Texture,
             light: Light { level: 0.95, ramp: DVec2::new(0.1, 0.05), shadow: None },
-            blur: Blur::Gaussian(0.5),
+            blur: Blur::Sharp,
             sigma: [2.0, 5.0, 10.0][kind % 3],
             seed: rng.next_u64(),
         };
-        setup.place(rng, 1, [20.0, 180.0], [2.0, 65.0]);
+        let side_px = between(rng, 20.0, 180.0);
+        setup.place(rng, 1, [side_px, side_px], [2.0, 65.0]);
         setup
     }
 
