@@ -8,7 +8,7 @@
 use super::clip::{self, Corner};
 use super::record::{Bounds, Extent, NONE, Record};
 use super::shape::{CLUSTER, Frustum, Shape};
-use super::sort::{BATCH, Rules, SEVERAL, SMALL, Sorted};
+use super::sort::{BATCH, FRONT, Rules, SEVERAL, SINGLE, SMALL, Sorted};
 use super::vertex::{NO_SPOT, Spot, Vertices, normal_matrix, unit};
 use super::{Instance, View};
 use crate::frame::Needs;
@@ -191,31 +191,34 @@ impl Chunk {
     #[inline(always)]
     fn sort<S: Simd>(&mut self, simd: S, sorting: &Sorting<'_>, triangles: Range<usize>) {
         let spot = |corner: u32| sorting.spots.get(corner as usize).copied().unwrap_or(NO_SPOT);
-        let nowhere = [NO_SPOT; BATCH];
         let mut first = triangles.start;
-        for batch in sorting.mesh.triangles[triangles].chunks(BATCH) {
-            let (mut a, mut b, mut c) = (nowhere, nowhere, nowhere);
+        let (whole, rest) = sorting.mesh.triangles[triangles].as_chunks::<BATCH>();
+        // triangles that have no corners draw nothing
+        let mut last = [[u32::MAX; 3]; BATCH];
+        last[..rest.len()].copy_from_slice(rest);
+        for batch in whole.iter().chain((!rest.is_empty()).then_some(&last)) {
+            let (mut a, mut b, mut c) = ([NO_SPOT; BATCH], [NO_SPOT; BATCH], [NO_SPOT; BATCH]);
             for (k, triangle) in batch.iter().enumerate() {
                 (a[k], b[k], c[k]) = (spot(triangle[0]), spot(triangle[1]), spot(triangle[2]));
             }
             let sorted = Sorted::new(simd, &sorting.rules, &a, &b, &c);
-            let mut left = (sorted.small | sorted.others) & ((1 << batch.len()) - 1);
+            let mut left = sorted.alive;
             while left != 0 {
                 let k = left.trailing_zeros() as usize % BATCH;
                 left &= left - 1;
-                let Some(&[a, b, c]) = batch.get(k) else { break };
-                if sorted.others >> k & 1 == 1 {
-                    self.single(sorting, first + k, [a, b, c]);
+                let [low, high, tile, word] = sorted.one(k);
+                if tile == SINGLE {
+                    self.single(sorting, first + k, batch[k]);
                     continue;
                 }
-                let front = sorted.front >> k & 1 == 1;
-                let corners = if front { [a, c, b] } else { [a, b, c] };
-                let (bounds, tile, cover) = sorted.one(k);
                 let (mut surface, mut face) = (sorting.surface, -1.0);
                 if !sorting.plain {
-                    (surface, face) = sorting.kind(first + k, [a, b, c]);
+                    (surface, face) = sorting.kind(first + k, batch[k]);
                 }
-                let extent = Extent::Small;
+                let [a, b, c] = batch[k];
+                let corners = if word & FRONT != 0 { [a, c, b] } else { [a, b, c] };
+                let (bounds, cover, extent) = (Bounds { low, high }, word as u16, Extent::Small);
+                // built twice: one in memory for both would be read before it is there
                 if tile == SEVERAL {
                     self.list(&Record { corners, surface, face, bounds, cover, extent, next: NONE });
                 } else {
@@ -234,8 +237,9 @@ impl Chunk {
         let places = &view.vertices.places[instance.first_vertex..][..sorting.spots.len()];
         let at = corners.map(|c| places.get(c as usize));
         let [Some(a), Some(b), Some(c)] = at else { return };
-        let (least, most) = (a.w.min(b.w).min(c.w), a.w.max(b.w).max(c.w));
-        if (a.w + b.w + c.w).is_nan() {
+        let [u, v, w] = [a.w(), b.w(), c.w()];
+        let (least, most) = (u.min(v).min(w), u.max(v).max(w));
+        if (u + v + w).is_nan() {
             return;
         }
         let whole = least > 0.0;
@@ -268,7 +272,7 @@ impl Chunk {
             Corner {
                 point: instance.placed.to_camera.transform_point3(mesh.positions[c].as_dvec3()),
                 normal: DVec3::new(normal[0].into(), normal[1].into(), normal[2].into()),
-                intensity: view.vertices.places[index].intensity,
+                intensity: view.vertices.places[index].intensity(),
                 uv: mesh.texcoords.get(c).map_or(DVec2::ZERO, |uv| uv.as_dvec2()),
                 color: mesh.colors.get(c).map_or(DVec3::ONE, |color| color.as_dvec3()),
             }
@@ -284,7 +288,7 @@ impl Chunk {
                 self.own.spots.push(seen.vertex.spot());
                 self.own
                     .normals
-                    .push(seen.corner.normal.as_vec3().extend(seen.vertex.intensity as f32).to_array());
+                    .push(seen.corner.normal.as_vec3().extend(seen.vertex.intensity() as f32).to_array());
                 self.own_uv.push(seen.corner.uv.as_vec2());
                 self.own_colors.push(seen.corner.color.as_vec3());
             }

@@ -42,8 +42,8 @@ impl Corner {
     /// Put on the picture; `None` outside near plane and field.
     fn project(&self, near: f64, field: &Field) -> Option<Seen> {
         let mut vertex = Vertex::project(self.point, near, field);
-        vertex.intensity = f64::from(self.intensity as f32);
-        (vertex.w > 0.0).then_some(Seen { corner: *self, vertex })
+        vertex.of[1] = f64::from(self.intensity as f32);
+        (vertex.w() > 0.0).then_some(Seen { corner: *self, vertex })
     }
 }
 
@@ -166,7 +166,7 @@ fn split_line(
 
 /// Whether an edge is long enough on the picture for the lens to bend it; cheap and on the safe side.
 pub(super) fn may_bend(a: &Vertex, b: &Vertex, field: &Field) -> bool {
-    let (dx, dy) = (b.x - a.x, b.y - a.y);
+    let (dx, dy) = (b.at[0] - a.at[0], b.at[1] - a.at[1]);
     let limit = field.straight_px().min(MAX_BENT_EDGE_PX);
     dx * dx + dy * dy > limit * limit
 }
@@ -184,14 +184,14 @@ fn middle(a: &Seen, b: &Seen, near: f64, field: &Field) -> Option<Seen> {
         return None;
     }
     // weights 1/z: half-way on the undistorted picture; the sums are symmetric in a and b
-    let (wa, wb) = (a.vertex.w, b.vertex.w);
+    let (wa, wb) = (a.vertex.w(), b.vertex.w());
     let sum = wa + wb;
     let mut corner = a.corner.weighted(&b.corner, wa / sum, wb / sum);
     corner.point.z = corner.point.z.max(near);
     let seen = corner.project(near, field)?;
-    let middle = DVec2::new((a.vertex.x + b.vertex.x) / 2.0, (a.vertex.y + b.vertex.y) / 2.0);
-    let miss = DVec2::new(seen.vertex.x, seen.vertex.y) - middle;
-    let length = DVec2::new(b.vertex.x - a.vertex.x, b.vertex.y - a.vertex.y).length_squared().sqrt();
+    let (from, to) = (DVec2::from(a.vertex.at), DVec2::from(b.vertex.at));
+    let miss = DVec2::from(seen.vertex.at) - (from + to) / 2.0;
+    let length = (to - from).length_squared().sqrt();
     let bent = miss.length_squared() > SPLIT_TOLERANCE_PX * SPLIT_TOLERANCE_PX || length > MAX_BENT_EDGE_PX;
     bent.then_some(seen)
 }
@@ -223,7 +223,7 @@ fn split([a, b, c]: [Seen; 3], near: f64, field: &Field, left: u32, emit: &mut d
 
 /// Whether the triangle is off the picture by more than its own size: no bend brings it back.
 fn off_picture(corners: [&Seen; 3], field: &Field) -> bool {
-    let at = corners.map(|seen| DVec2::new(seen.vertex.x, seen.vertex.y));
+    let at = corners.map(|seen| DVec2::from(seen.vertex.at));
     let (low, high) = (at[0].min(at[1]).min(at[2]), at[0].max(at[1]).max(at[2]));
     let margin = (high - low).max_element();
     let size = DVec2::new(field.lens().size.width as f64, field.lens().size.height as f64);

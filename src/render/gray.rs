@@ -25,28 +25,26 @@ impl Palette<'_> {
 }
 
 impl Gray {
-    /// What `shade_row` does.
+    /// A row of a tile, of any length: depth and colors.
     #[inline(always)]
-    pub fn shade_row<S: Simd>(
+    pub fn shade_part<S: Simd>(
         &self,
         simd: S,
-        [w, light]: [&[f32; TILE]; 2],
+        from: [&[f32; TILE]; 2],
         depth: &mut [f32],
         [r, g, b]: [&mut [u8]; 3],
     ) {
-        if let (Ok(z), Ok(r), Ok(g), Ok(b)) = (depth.try_into(), r.try_into(), g.try_into(), b.try_into()) {
-            return self.shade_whole(simd, [w, light], z, [r, g, b]);
-        }
         let (mut z, [mut red, mut green, mut blue]) = ([0.0; TILE], [[0; TILE]; 3]);
-        self.shade_whole(simd, [w, light], &mut z, [&mut red, &mut green, &mut blue]);
+        self.shade_row(simd, from, &mut z, [&mut red, &mut green, &mut blue]);
         depth.copy_from_slice(&z[..depth.len()]);
         for (out, levels) in [r, g, b].into_iter().zip([red, green, blue]) {
             out.copy_from_slice(&levels[..out.len()]);
         }
     }
 
+    /// What `shade_row` does, of a whole row of a tile: from 1/z and light to depth and colors.
     #[inline(always)]
-    fn shade_whole<S: Simd>(
+    pub fn shade_row<S: Simd>(
         &self,
         simd: S,
         [w, light]: [&[f32; TILE]; 2],
@@ -56,8 +54,7 @@ impl Gray {
         let from = w.as_chunks().0.iter().zip(light.as_chunks().0);
         let colors = r.as_chunks_mut().0.iter_mut().zip(g.as_chunks_mut().0).zip(b.as_chunks_mut().0);
         for ((from, z), ((r, g), b)) in from.zip(depth.as_chunks_mut().0).zip(colors) {
-            self.shade(simd, from, z, r);
-            (*g, *b) = (*r, *r);
+            self.shade(simd, from, z, [r, g, b]);
         }
     }
 
@@ -67,13 +64,13 @@ impl Gray {
         simd: S,
         (w, light): (&[f32; WIDE], &[f32; WIDE]),
         depth: &mut [f32; WIDE],
-        levels: &mut [u8; WIDE],
+        [r, g, b]: [&mut [u8; WIDE]; 3],
     ) {
         let nothing = f32x8::splat(simd, self.nothing);
         let (w0, w1) = (load(simd, w, 0), load(simd, w, RUN));
         let (covered0, covered1) = (w0.simd_gt(nothing), w1.simd_gt(nothing));
         if (covered0 | covered1).all_false() {
-            (*depth, *levels) = ([f32::INFINITY; WIDE], [0; WIDE]);
+            (*depth, *r, *g, *b) = ([f32::INFINITY; WIDE], [0; WIDE], [0; WIDE], [0; WIDE]);
             return;
         }
         let (one, infinite) = (f32x8::splat(simd, 1.0), f32x8::splat(simd, f32::INFINITY));
@@ -82,9 +79,12 @@ impl Gray {
         covered1.select(z1, infinite).store_slice(&mut depth[RUN..]);
         let level0 = self.level(simd, load(simd, light, 0) * z0, covered0);
         let level1 = self.level(simd, load(simd, light, RUN) * z1, covered1);
-        let ((a, b), (c, d)) = (simd.split_i32x8(level0), simd.split_i32x8(level1));
-        let (low, high) = (simd.relaxed_narrow_i32x4(a, b), simd.relaxed_narrow_i32x4(c, d));
-        simd.relaxed_narrow_u16x8(low.bitcast(), high.bitcast()).store_slice(levels);
+        let ((p, q), (s, t)) = (simd.split_i32x8(level0), simd.split_i32x8(level1));
+        let (low, high) = (simd.relaxed_narrow_i32x4(p, q), simd.relaxed_narrow_i32x4(s, t));
+        let levels = simd.relaxed_narrow_u16x8(low.bitcast(), high.bitcast());
+        levels.store_slice(r);
+        levels.store_slice(g);
+        levels.store_slice(b);
     }
 
     #[inline(always)]

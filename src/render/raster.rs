@@ -22,6 +22,7 @@ use crate::pixels::simd::{Level, dispatch};
 use fearless_simd::{Simd, SimdFrom, prelude::*};
 
 /// Draws everything that touches a tile; whether any pixel inside the picture is covered.
+#[inline(never)]
 pub(super) fn draw_tile(
     level: Level,
     view: &View<'_>,
@@ -31,16 +32,19 @@ pub(super) fn draw_tile(
 ) -> bool {
     slot.clear(view.channels, view.nothing);
     let Channels { light, normals, uv, colors, surfaces, second, phantoms, flat: _ } = view.channels;
-    let Some(pixels) = &mut Pixels::of(slot, view.channels) else { return false };
+    let Some((mut pixels, setups)) = Pixels::of(slot, view.channels) else { return false };
+    let pixels = &mut pixels;
     let rect = view.shot.grid.rect(tile);
     let bounds = [rect.x0, rect.y0, rect.x1 - 1, rect.y1 - 1].map(|v| v as i32);
     let (pen, walk) = (Tile { view, bounds }, Walk::new(view, chunks, tile));
     match (second, normals || !light, uv || colors || surfaces || phantoms) {
         (false, false, false) => {
-            dispatch!(level, simd => draw_records::<_, PLAIN>(simd, &pen, walk, pixels))
+            dispatch!(level, simd => draw_records::<_, PLAIN>(simd, &pen, walk, setups, pixels))
         }
-        (true, _, false) => dispatch!(level, simd => draw_records::<_, BOTH>(simd, &pen, walk, pixels)),
-        _ => dispatch!(level, simd => draw_records::<_, ANY>(simd, &pen, walk, pixels)),
+        (true, _, false) => {
+            dispatch!(level, simd => draw_records::<_, BOTH>(simd, &pen, walk, setups, pixels))
+        }
+        _ => dispatch!(level, simd => draw_records::<_, ANY>(simd, &pen, walk, setups, pixels)),
     }
     let mut rows = slot.w.chunks_exact(STRIDE).take(rect.y1 - rect.y0);
     let most = |row: &[f32]| row.iter().fold(0, |most, w| w.to_bits().max(most));
@@ -73,20 +77,14 @@ impl<'a> Walk<'a> {
     }
 
     #[inline(always)]
-    fn next(&mut self) -> Option<Triangle<'a>> {
+    fn next(&mut self) -> Option<&'a Record> {
         loop {
             if let Some(record) = self.records.next() {
-                let piece = record.extent == Extent::Piece;
-                let places = if piece { &self.chunk.own.places } else { self.places };
-                let triangle = Triangle::new(self.chunk, record, places);
-                if triangle.is_some() {
-                    return triangle;
-                }
-            } else {
-                let tile = self.tile;
-                let chunk = self.chunks.find(|chunk| chunk.holds(tile))?;
-                self.enter(chunk);
+                return Some(record);
             }
+            let tile = self.tile;
+            let chunk = self.chunks.find(|chunk| chunk.holds(tile))?;
+            self.enter(chunk);
         }
     }
 }
@@ -97,28 +95,31 @@ fn draw_records<S: Simd, const MODE: u8>(
     simd: S,
     tile: &Tile<'_>,
     walk: Option<Walk<'_>>,
+    [setup, spare]: &mut [Setup; 2],
     pixels: &mut Pixels<'_>,
 ) {
     let Some(mut walk) = walk else { return };
-    let Some(first) = walk.next() else { return };
-    let (mut four, mut next) = ([first; 4], Some(first));
-    let (mut setup, mut spare) = (Setup::default(), Setup::default());
-    while let Some(triangle) = next {
-        if triangle.record.extent != Extent::Small {
-            draw_large::<S, MODE>(simd, tile, &triangle, &mut setup, pixels);
-            next = walk.next();
-            continue;
-        }
-        let mut count = 0;
-        while let (Some(triangle), Some(place)) = (next, four.get_mut(count))
-            && triangle.record.extent == Extent::Small
-        {
-            *place = triangle;
+    let none = Triangle { record: &Record::NONE, chunk: walk.chunk, places: [&Vertex::NONE; 3] };
+    let (mut four, mut count) = ([none; 4], 0);
+    while let Some(record) = walk.next() {
+        if record.extent == Extent::Small {
+            let Some(triangle) = Triangle::new(walk.chunk, record, walk.places) else { continue };
+            four[count % 4] = triangle;
             count += 1;
-            next = walk.next();
+            if count < 4 {
+                continue;
+            }
         }
-        draw_four::<S, MODE>(simd, tile, &four, count, [&mut setup, &mut spare], pixels);
+        draw_four::<S, MODE>(simd, tile, &four, count, [setup, spare], pixels);
+        count = 0;
+        if record.extent != Extent::Small {
+            let own = record.extent == Extent::Piece;
+            let places = if own { &walk.chunk.own.places } else { walk.places };
+            let Some(triangle) = Triangle::new(walk.chunk, record, places) else { continue };
+            draw_large::<S, MODE>(simd, tile, &triangle, setup, pixels);
+        }
     }
+    draw_four::<S, MODE>(simd, tile, &four, count, [setup, spare], pixels);
 }
 
 /// Draws the first `count` of four small triangles, one after the other.
@@ -131,6 +132,9 @@ fn draw_four<S: Simd, const MODE: u8>(
     [setup, spare]: [&mut Setup; 2],
     pixels: &mut Pixels<'_>,
 ) {
+    if count == 0 {
+        return;
+    }
     let [p, q, r, s] = four;
     let areas = [p.record.bounds, q.record.bounds, r.record.bounds, s.record.bounds];
     let known = |triangle: &Triangle<'_>| triangle.record.cover != 0;
@@ -298,7 +302,7 @@ impl<S: Simd> Ink<S> {
         &self,
         simd: S,
         run: &Run<S>,
-        light: f32,
+        light: S::f32s,
         record: &Record,
         channels: Channels,
         pixels: &mut Pixels<'_>,
@@ -360,7 +364,8 @@ fn draw_little<S: Simd, const MODE: u8>(
         let inside = (S::i32s::simd_from(simd, cover) & bits).simd_eq(bits);
         let here = S::f32s::simd_from(simd, row.w[k]) + w_across;
         let run = Run { at, inside, here, xs, y: y as i32 };
-        ink.draw::<MODE>(simd, &run, row.light[k], triangle.record, tile.view.channels, pixels);
+        let light = S::f32s::simd_from(simd, row.light[k]);
+        ink.draw::<MODE>(simd, &run, light, triangle.record, tile.view.channels, pixels);
         (cover, at) = (cover >> LITTLE, at + STRIDE);
         if cover == 0 {
             break;
@@ -396,6 +401,7 @@ fn draw_rows<S: Simd, const MODE: u8, const ODD: bool>(
         let mut at = row.at[k] as usize;
         let mut xs = first_xs + S::f32s::simd_from(simd, row.first[k]);
         let w = S::f32s::simd_from(simd, row.w[k]);
+        let light = S::f32s::simd_from(simd, row.light[k]);
         loop {
             let inside = S::i32s::simd_from(simd, left).simd_gt(lanes);
             let mut here = w + xs * w_right;
@@ -403,11 +409,11 @@ fn draw_rows<S: Simd, const MODE: u8, const ODD: bool>(
                 here = triangle.kept_near(simd, here);
             }
             let run = Run { at, inside, here, xs, y: y as i32 };
-            ink.draw::<MODE>(simd, &run, row.light[k], triangle.record, tile.view.channels, pixels);
-            left -= length;
-            if left <= 0 {
+            ink.draw::<MODE>(simd, &run, light, triangle.record, tile.view.channels, pixels);
+            if left <= length {
                 break;
             }
+            left -= length;
             at += length as usize;
             xs += S::f32s::simd_from(simd, length as f32);
         }

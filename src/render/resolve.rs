@@ -112,6 +112,21 @@ impl<'a, T: Copy> Sheet<'a, T> {
         rows.map(move |row| row.get_mut(rect.x0..rect.x1).unwrap_or_default())
     }
 
+    /// What of row `y` of the first row of tiles is in a tile of whole width.
+    #[inline(always)]
+    fn whole(&mut self, rect: Rect, y: usize) -> Option<&mut [T; TILE]> {
+        if rect.x1 - rect.x0 != TILE {
+            return None;
+        }
+        self.samples.get_mut(y * self.stride + rect.x0..)?.first_chunk_mut()
+    }
+
+    /// In a tile of any width.
+    fn part(&mut self, rect: Rect, y: usize) -> &mut [T] {
+        let first = y * self.stride;
+        self.samples.get_mut(first + rect.x0..first + rect.x1).unwrap_or_default()
+    }
+
     fn fill(&mut self, rect: Rect, value: T) {
         self.rows(rect).for_each(|row| row.fill(value));
     }
@@ -188,17 +203,23 @@ impl Sheets<'_> {
         } else {
             let [r, g, b] = &mut self.color;
             let gray = palette.gray().zip(slot.attributes.first());
-            let colors = r.rows(rect).zip(g.rows(rect)).zip(b.rows(rect));
-            let rows = self.depth.rows(rect).zip(colors);
             if let Some((gray, light)) = gray {
                 let from = slot.w.chunks_exact(STRIDE).zip(light.chunks_exact(STRIDE));
-                for ((w, light), (depth, ((r, g), b))) in from.zip(rows) {
-                    if let (Some(w), Some(light)) = (w.first_chunk(), light.first_chunk()) {
+                for (y, (w, light)) in from.enumerate().take(rect.y1 - rect.y0) {
+                    let (Some(w), Some(light)) = (w.first_chunk(), light.first_chunk()) else { return };
+                    let whole =
+                        (self.depth.whole(rect, y), r.whole(rect, y), g.whole(rect, y), b.whole(rect, y));
+                    if let (Some(depth), Some(r), Some(g), Some(b)) = whole {
                         gray.shade_row(simd, [w, light], depth, [r, g, b]);
+                    } else {
+                        let (depth, colors) =
+                            (self.depth.part(rect, y), [r.part(rect, y), g.part(rect, y), b.part(rect, y)]);
+                        gray.shade_part(simd, [w, light], depth, colors);
                     }
                 }
             } else {
-                for (y, (depth, ((r, g), b))) in rows.enumerate() {
+                let colors = r.rows(rect).zip(g.rows(rect)).zip(b.rows(rect));
+                for (y, (depth, ((r, g), b))) in self.depth.rows(rect).zip(colors).enumerate() {
                     shade_row(simd, palette, slot, y, depth, [r, g, b]);
                 }
             }

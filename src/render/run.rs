@@ -1,13 +1,14 @@
 //! A run of pixels in a row of a tile: the depth test, and what is kept of the nearest and second-nearest surface.
 
+use super::setup::Setup;
 use super::slopes::{Slope, Slopes};
-use super::tile::{AREA, Channels, Slot};
+use super::tile::{Channels, ROOM, Slot};
 use fearless_simd::{Simd, prelude::*};
 
 /// The pixels of a slot, plane by plane; those that the frame does not keep are empty.
 pub(super) struct Pixels<'a> {
-    w: &'a mut [f32; AREA],
-    light: Option<&'a mut [f32; AREA]>,
+    w: &'a mut [f32; ROOM],
+    light: Option<&'a mut [f32; ROOM]>,
     normal: [&'a mut [f32]; 3],
     /// Texture coordinates and vertex color.
     others: &'a mut [Vec<f32>],
@@ -18,13 +19,13 @@ pub(super) struct Pixels<'a> {
 }
 
 impl<'a> Pixels<'a> {
-    /// `None` when the slot has no room.
-    pub fn of(slot: &'a mut Slot, channels: Channels) -> Option<Self> {
+    /// And where triangles are set up; `None` when the slot has no room.
+    pub fn of(slot: &'a mut Slot, channels: Channels) -> Option<(Self, &'a mut [Setup; 2])> {
         let (light, more) = slot.attributes.split_at_mut(channels.normal_at());
         let (normal, others) = more.split_at_mut(channels.uv_at() - channels.normal_at());
         let mut normal = normal.iter_mut();
         let mut next = || normal.next().map(Vec::as_mut_slice).unwrap_or_default();
-        Some(Self {
+        let pixels = Self {
             w: slot.w.first_chunk_mut()?,
             light: light.first_mut().and_then(|plane| plane.first_chunk_mut()),
             normal: [next(), next(), next()],
@@ -33,7 +34,8 @@ impl<'a> Pixels<'a> {
             w2: &mut slot.w2,
             normal2: slot.normal2.each_mut().map(Vec::as_mut_slice),
             shield: &mut slot.shield,
-        })
+        };
+        Some((pixels, &mut slot.setups))
     }
 }
 
@@ -64,7 +66,7 @@ impl Pixels<'_> {
 /// A value along a row.
 #[derive(Clone, Copy)]
 pub(super) struct Line<F> {
-    pub start: f32,
+    pub start: F,
     pub right: F,
 }
 
@@ -106,7 +108,7 @@ impl<S: Simd> Run<S> {
         // where the next triangle reads it
         let here = self.inside.select(self.here, S::f32s::simd_from(simd, 0.0));
         let wins = here.simd_gt(before);
-        let new = S::f32s::simd_from(simd, light.start) + self.xs * light.right;
+        let new = light.start + self.xs * light.right;
         self.store(before.max(here), pixels.w);
         self.store(wins.select(new, old), &mut **lights);
     }
@@ -201,7 +203,7 @@ impl<S: Simd> Run<S> {
         }
         self.store(wins.select(here, before), pixels.w);
         if let Some(plane) = pixels.light.as_mut() {
-            let new = S::f32s::simd_from(simd, light.start) + self.xs * light.right;
+            let new = light.start + self.xs * light.right;
             self.keep(simd, wins, new, &mut **plane);
         }
         let (normals, others) = others.split_at(if channels.normals { 3 } else { 0 });

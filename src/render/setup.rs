@@ -9,7 +9,7 @@ use super::spans::{Corners, Row};
 use super::tile::{MOST, STRIDE};
 use super::vertex::{Spot, Vertex, Vertices, narrow, wide, widen};
 use crate::pixels::TILE;
-use fearless_simd::{Simd, SimdFrom, f64x4, i32x4, prelude::*};
+use fearless_simd::{Simd, SimdBase, SimdFrom, f64x2, f64x4, i32x4, prelude::*};
 use glam::Vec3;
 
 /// Width of the strips of steep triangles, px.
@@ -76,9 +76,9 @@ impl<'a> Triangle<'a> {
         let of = |i: usize| vertices.normals.get(first + i).copied().unwrap_or_default();
         let ([i, j, k], [a, b, c]) = (self.record.corners.map(|c| c as usize), self.places);
         weights.slopes([
-            widen(simd, of(i)) * f64x4::splat(simd, a.w),
-            widen(simd, of(j)) * f64x4::splat(simd, b.w),
-            widen(simd, of(k)) * f64x4::splat(simd, c.w),
+            widen(simd, of(i)) * f64x4::splat(simd, a.w()),
+            widen(simd, of(j)) * f64x4::splat(simd, b.w()),
+            widen(simd, of(k)) * f64x4::splat(simd, c.w()),
         ])
     }
 
@@ -109,7 +109,8 @@ impl<'a> Triangle<'a> {
                 _ => colors.get(i).copied().unwrap_or(Vec3::ONE).extend(0.0).to_array(),
             };
             if wanted {
-                let (a, b, c) = (f64x4::splat(simd, a.w), f64x4::splat(simd, b.w), f64x4::splat(simd, c.w));
+                let (a, b, c) =
+                    (f64x4::splat(simd, a.w()), f64x4::splat(simd, b.w()), f64x4::splat(simd, c.w()));
                 put(
                     weights.slopes([widen(simd, of(i)) * a, widen(simd, of(j)) * b, widen(simd, of(k)) * c]),
                     count,
@@ -123,8 +124,8 @@ impl<'a> Triangle<'a> {
     /// at all.
     #[inline(always)]
     pub fn kept_near<S: Simd>(&self, simd: S, here: S::f32s) -> S::f32s {
-        let [a, b, c] = self.places;
-        let (least, most) = (a.w.min(b.w).min(c.w), a.w.max(b.w).max(c.w));
+        let [a, b, c] = self.places.map(|place| place.w());
+        let (least, most) = (a.min(b).min(c), a.max(b).max(c));
         let reach = (most - least) * 0.5;
         let low = S::f32s::simd_from(simd, (least - reach).max(least * 0.5) as f32);
         let high = S::f32s::simd_from(simd, (most + reach) as f32);
@@ -232,7 +233,7 @@ impl Setup {
             below += 1.0;
         }
         if spans {
-            Corners::new(simd, corner, x, y).fill(simd, at, columns + whole(1), rows);
+            Corners::new(simd, [left, top], x, y).fill(simd, at, columns + whole(1), rows);
         }
         narrow(simd, w.right).store_slice(&mut self.w_right);
         narrow(simd, light.right).store_slice(&mut self.light_right);
@@ -258,11 +259,19 @@ impl Setup {
 /// One corner of each of four triangles: x, y, 1/z and intensity.
 #[inline(always)]
 fn corners<S: Simd>(simd: S, four: &[Triangle<'_>; 4], k: usize) -> [f64x4<S>; 4] {
-    let (a, b, c, d) = (four[0].places[k], four[1].places[k], four[2].places[k], four[3].places[k]);
+    let (p, q, r, s) = (four[0].places[k], four[1].places[k], four[2].places[k], four[3].places[k]);
+    let ([x, y], [w, intensity]) =
+        (columns(simd, [&p.at, &q.at, &r.at, &s.at]), columns(simd, [&p.of, &q.of, &r.of, &s.of]));
+    [x, y, w, intensity]
+}
+
+/// The first of each pair, and the second.
+#[inline(always)]
+fn columns<S: Simd>(simd: S, [p, q, r, s]: [&[f64; 2]; 4]) -> [f64x4<S>; 2] {
+    let (p, q) = (f64x2::from_slice(simd, p), f64x2::from_slice(simd, q));
+    let (r, s) = (f64x2::from_slice(simd, r), f64x2::from_slice(simd, s));
     [
-        f64x4::simd_from(simd, [a.x, b.x, c.x, d.x]),
-        f64x4::simd_from(simd, [a.y, b.y, c.y, d.y]),
-        f64x4::simd_from(simd, [a.w, b.w, c.w, d.w]),
-        f64x4::simd_from(simd, [a.intensity, b.intensity, c.intensity, d.intensity]),
+        simd.combine_f64x2(simd.zip_low_f64x2(p, q), simd.zip_low_f64x2(r, s)),
+        simd.combine_f64x2(simd.zip_high_f64x2(p, q), simd.zip_high_f64x2(r, s)),
     ]
 }

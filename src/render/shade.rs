@@ -266,8 +266,7 @@ pub(super) fn to_level<S: Simd>(simd: S, light: f32x8<S>, base: f32) -> i32x8<S>
 #[inline(always)]
 pub(super) fn unit_range<S: Simd>(simd: S, v: f32x8<S>) -> f32x8<S> {
     let (zero, one) = (f32x8::splat(simd, 0.0), f32x8::splat(simd, 1.0));
-    let v = v.simd_gt(zero).select(v, zero);
-    v.simd_lt(one).select(v, one)
+    v.simd_gt(zero).select(v, zero).min(one)
 }
 
 /// The texture's color at (u, v), v up, bilinear between texel centers; 0..1 each.

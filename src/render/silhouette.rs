@@ -133,10 +133,10 @@ impl Silhouette {
     /// Lists an edge, cut and split where it must be.
     fn add(&mut self, view: &View<'_>, instance: &Instance, edge: [u32; 2]) {
         let [a, b] = edge.map(|i| &view.vertices.places[instance.first_vertex + i as usize]);
-        let whole = a.w > 0.0 && b.w > 0.0;
+        let whole = a.w() > 0.0 && b.w() > 0.0;
         if whole && !(view.shot.field.bends() && clip::may_bend(a, b, view.shot.field)) {
             self.lines.push([a, b].map(End::of));
-        } else if a.w >= 0.0 && b.w >= 0.0 {
+        } else if a.w() >= 0.0 && b.w() >= 0.0 {
             let mesh = &view.shot.scene.models[instance.placed.model].mesh;
             let [a, b] = edge
                 .map(|i| instance.placed.to_camera.transform_point3(mesh.positions[i as usize].as_dvec3()));
@@ -149,7 +149,7 @@ impl Silhouette {
 
 impl End {
     fn of(vertex: &Vertex) -> Self {
-        End { x: vertex.x, y: vertex.y, w: vertex.w }
+        End { x: vertex.at[0], y: vertex.at[1], w: vertex.w() }
     }
 }
 

@@ -1,15 +1,14 @@
 //! Eight triangles at a time, by their spots alone: which may cover a pixel center, which must be looked at singly.
 
-use super::record::Bounds;
-use super::vertex::{NO_SPOT, Spot};
+use super::vertex::Spot;
 use crate::pixels::{Size, TILE};
-use fearless_simd::{Simd, SimdBase, i32x8, mask32x8, prelude::*};
+use fearless_simd::{Simd, SimdBase, i16x8, i32x8, prelude::*};
 
 /// Triangles of a batch.
 pub(super) const BATCH: usize = 8;
 /// What small means, in 1/256 px: products of differences fit in 32 bits.
 pub(super) const SMALL: i32 = 1 << 14;
-/// Boxes of at most so many pixel centers a side: each of them is tried.
+/// Boxes of at most so many pixel centers a side, wholly in the picture: each of them is tried.
 pub(super) const LITTLE: i32 = 4;
 /// Of a pixel coordinate's bits, those within a tile.
 const TILE_SHIFT: u32 = TILE.trailing_zeros();
@@ -27,26 +26,32 @@ pub(super) struct Rules {
     pub bends: bool,
 }
 
-/// A batch of triangles by their spots; a bit a triangle.
+/// A batch of triangles by their spots.
 pub(super) struct Sorted {
-    /// Small ones that may cover a pixel center, and are not culled; those in little boxes do.
-    pub small: u32,
-    /// Those that must be looked at singly.
-    pub others: u32,
-    /// Of the small ones, those wound counter-clockwise as seen.
-    pub front: u32,
-    /// Of the small ones bounds, low and high; the tile that holds them, or `SEVERAL`; and the centers that those in
-    /// little boxes cover, row by row, a bit each, 0 for all others.
+    /// Those that may cover a pixel center and are not culled, and those that must be looked at singly, a bit each. Small
+    /// ones in little boxes do cover one.
+    pub alive: u32,
+    /// Of those bounds, low and high; the tile that holds them, `SEVERAL` or `SINGLE`; and the centers that those in little
+    /// boxes cover, row by row, a bit each, and above them `FRONT`.
     each: [[i32; 4]; BATCH],
 }
 
-/// Not one tile.
+/// In place of a tile: over several of them, ...
 pub(super) const SEVERAL: i32 = -1;
+/// ... to be looked at singly.
+pub(super) const SINGLE: i32 = -2;
+
+/// Set where a triangle is wound counter-clockwise as seen.
+pub(super) const FRONT: i32 = 1 << 16;
 
 /// The corners of a batch, x and y apart.
 type Side<S> = (i32x8<S>, i32x8<S>);
 
+/// The same from the first center of each one's box, where that is little.
+type Near<S> = (i16x8<S>, i16x8<S>);
+
 impl Sorted {
+    /// What is said of a triangle is told by signs: of a number below 0 it is so.
     #[inline(always)]
     pub fn new<S: Simd>(
         simd: S,
@@ -57,52 +62,52 @@ impl Sorted {
     ) -> Self {
         let (a, b, c) = (apart(simd, a), apart(simd, b), apart(simd, c));
         let of = |v: i32| i32x8::splat(simd, v);
-        let none = of(NO_SPOT[0]);
-        let missing = a.0.simd_eq(none) | b.0.simd_eq(none) | c.0.simd_eq(none);
+        let when = |asked: bool| of(if asked { -1 } else { 0 });
         let (x0, x1) = (a.0.min(b.0).min(c.0), a.0.max(b.0).max(c.0));
         let (y0, y1) = (a.1.min(b.1).min(c.1), a.1.max(b.1).max(c.1));
-        let reach = of(rules.reach);
-        let small = (x1 - x0).simd_lt(reach) & (y1 - y0).simd_lt(reach);
-        let size = rules.size;
-        let left = ((x0 + of(255)) >> 8).max(of(0));
-        let top = ((y0 + of(255)) >> 8).max(of(0));
-        let right = (x1 >> 8).min(of(size.width as i32 - 1));
-        let bottom = (y1 >> 8).min(of(size.height as i32 - 1));
-        let empty = left.simd_gt(right) | top.simd_gt(bottom);
-        let far_off = if rules.bends { mask32x8::splat(simd, false) } else { empty };
-        let others = missing | !(small | far_off);
+        // no spot is far below all others
+        let missing = x0 + of(1 << 30);
+        let reach = (x1 - x0).max(y1 - y0);
+        let large = of(rules.reach - 1) - reach;
+        let (last_x, last_y) = (of(rules.size.width as i32 - 1), of(rules.size.height as i32 - 1));
+        let (left, top) = ((x0 + of(255)) >> 8, (y0 + of(255)) >> 8);
+        let (right, bottom) = (x1 >> 8, y1 >> 8);
+        let off = left | top | (last_x - right) | (last_y - bottom);
+        let (left, top) = (left.max(of(0)), top.max(of(0)));
+        let (right, bottom) = (right.min(last_x), bottom.min(last_y));
+        let (wide, high) = (right - left, bottom - top);
+        let empty = wide | high;
+        let others = missing | (large & !(empty & when(!rules.bends)));
 
         let area = (b.0 - a.0) * (c.1 - a.1) - (c.0 - a.0) * (b.1 - a.1);
-        let front = area.simd_lt(of(0));
-        let kept = if rules.cull_back { front } else { !area.simd_eq(of(0)) };
-        let mut alive = kept & !empty & !others;
-        let (wide, high) = (right - left, bottom - top);
-        let little = alive & wide.simd_lt(of(LITTLE)) & high.simd_lt(of(LITTLE));
+        let kept = area | ((of(0) - area) & when(!rules.cull_back));
+        let mut dead = !kept | empty;
+        let (front, little) = (area >> 31, !(dead | others | off) & (wide.max(high) - of(LITTLE)));
         let mut covers = of(0);
-        if little.any_true() {
+        if little.simd_lt(of(0)).any_true() {
+            let (x, y) = (left << 8, top << 8);
+            let near = |p: Side<S>| (narrow(simd, p.0 - x), narrow(simd, p.1 - y));
             // wound clockwise
-            let (p, q) = (pick(front, c, b), pick(front, b, c));
-            let corner = (left << 8, top << 8);
-            let (e0, r0, d0) = edge(simd, corner, a, p);
-            let (e1, r1, d1) = edge(simd, corner, p, q);
-            let (e2, r2, d2) = edge(simd, corner, q, a);
-            let edges = [[e0, r0 << 8, d0 << 8], [e1, r1 << 8, d1 << 8], [e2, r2 << 8, d2 << 8]];
+            let (a, (p, q)) = (near(a), swapped(narrow(simd, front), near(b), near(c)));
+            let edges = [edge(simd, a, p), edge(simd, p, q), edge(simd, q, a)];
             // most batches have no more than two a side
-            let more = little & (wide | high).simd_gt(of(1));
-            let outside = if more.any_true() {
-                outside::<S, LITTLE>(simd, edges)
+            let more = little & (of(1) - wide.max(high));
+            let inside = if more.simd_lt(of(0)).any_true() {
+                inside::<S, LITTLE>(simd, edges)
             } else {
-                outside::<S, 2>(simd, edges)
+                inside::<S, 2>(simd, edges)
             };
-            let columns = pick_side(simd, wide, [0x1111, 0x3333, 0x7777, 0xffff]);
-            let rows = pick_side(simd, high, [0xf, 0xff, 0xfff, 0xffff]);
-            covers = little.select(columns & rows & !outside, of(0));
-            alive &= !(little & covers.simd_eq(of(0)));
+            let (low, high) = simd.widen_u16x8(inside.bitcast());
+            covers = simd.combine_i32x4(low.bitcast(), high.bitcast()) & (little >> 31);
+            // little and nothing covered
+            dead |= little & (covers - of(1));
         }
-        let one = ((left ^ right) | (top ^ bottom)).simd_lt(of(TILE as i32));
+        let several = of(TILE as i32 - 1) - ((left ^ right) | (top ^ bottom));
         let tile = (top >> TILE_SHIFT) * of(rules.columns as i32) + (left >> TILE_SHIFT);
+        let (alive, others) = ((!dead | others).simd_lt(of(0)), others >> 31);
+        let tile = (tile | (several >> 31) | others) + others;
         let (low, high) = (simd.split_i32x8(left | (top << 16)), simd.split_i32x8(right | (bottom << 16)));
-        let (tile, covers) = (simd.split_i32x8(one.select(tile, of(SEVERAL))), simd.split_i32x8(covers));
+        let (tile, covers) = (simd.split_i32x8(tile), simd.split_i32x8(covers | (front & of(FRONT))));
         let mut each = [[0; 4]; BATCH];
         let (first, second) = each.split_at_mut(BATCH / 2);
         if let (Ok(first), Ok(second)) =
@@ -111,19 +116,13 @@ impl Sorted {
             simd.store_four_interleaved_i32x4([low.0, high.0, tile.0, covers.0], first);
             simd.store_four_interleaved_i32x4([low.1, high.1, tile.1, covers.1], second);
         }
-        Self {
-            small: alive.to_bitmask() as u32,
-            others: others.to_bitmask() as u32,
-            front: front.to_bitmask() as u32,
-            each,
-        }
+        Self { alive: alive.to_bitmask() as u32, each }
     }
 
-    /// Of a small one its bounds, tile and cover.
+    /// What is known of an alive one.
     #[inline(always)]
-    pub fn one(&self, k: usize) -> (Bounds, i32, u16) {
-        let [low, high, tile, cover] = self.each[k % BATCH];
-        (Bounds { low, high }, tile, cover as u16)
+    pub fn one(&self, k: usize) -> [i32; 4] {
+        self.each[k % BATCH]
     }
 }
 
@@ -133,52 +132,57 @@ fn apart<S: Simd>(simd: S, spots: &[Spot; BATCH]) -> Side<S> {
     i32x8::from_slice(simd, &flat[..BATCH]).deinterleave(i32x8::from_slice(simd, &flat[BATCH..]))
 }
 
+/// The lower halves.
 #[inline(always)]
-fn pick<S: Simd>(mask: mask32x8<S>, yes: Side<S>, no: Side<S>) -> Side<S> {
-    (mask.select(yes.0, no.0), mask.select(yes.1, no.1))
+fn narrow<S: Simd>(simd: S, v: i32x8<S>) -> i16x8<S> {
+    let (low, high) = simd.split_i32x8(v);
+    simd.narrow_i32x4(low, high)
 }
 
-/// The pixel centers of a box of so many a side that are outside of any of the edges, a bit each, four a row.
+/// The other way round where all bits are set.
 #[inline(always)]
-fn outside<S: Simd, const SIDE: i32>(
+fn swapped<S: Simd>(set: i16x8<S>, b: Near<S>, c: Near<S>) -> (Near<S>, Near<S>) {
+    let (x, y) = ((b.0 ^ c.0) & set, (b.1 ^ c.1) & set);
+    ((b.0 ^ x, b.1 ^ y), (c.0 ^ x, c.1 ^ y))
+}
+
+/// The pixel centers of a box of so many a side that are inside of all edges, a bit each, four a row.
+#[inline(always)]
+fn inside<S: Simd, const SIDE: i32>(
     simd: S,
-    [[e0, r0, d0], [e1, r1, d1], [e2, r2, d2]]: [[i32x8<S>; 3]; 3],
-) -> i32x8<S> {
+    [[e0, r0, d0], [e1, r1, d1], [e2, r2, d2]]: [[i16x8<S>; 3]; 3],
+) -> i16x8<S> {
     // from the last center to the first, which takes the lowest bit
-    let last = i32x8::splat(simd, SIDE - 1);
+    let last = i16x8::splat(simd, SIDE as i16 - 1);
     let (mut e0, mut e1, mut e2) = (e0 + (r0 + d0) * last, e1 + (r1 + d1) * last, e2 + (r2 + d2) * last);
-    let mut outside = i32x8::splat(simd, 0);
-    for _ in 0..SIDE {
-        outside <<= (LITTLE - SIDE) as u32;
+    let mut outside = i16x8::splat(simd, if SIDE < LITTLE { -1 } else { 0 });
+    for row in 0..SIDE {
+        if SIDE < LITTLE && row > 0 {
+            // columns that no box has
+            outside = (outside << (LITTLE - SIDE) as u32) | i16x8::splat(simd, (1 << (LITTLE - SIDE)) - 1);
+        }
         let (mut f0, mut f1, mut f2) = (e0, e1, e2);
         for _ in 0..SIDE {
             // 0 or -1
-            outside = outside + outside - ((f0 | f1 | f2) >> 31);
+            outside = outside + outside - ((f0 | f1 | f2) >> 15);
             (f0, f1, f2) = (f0 - r0, f1 - r1, f2 - r2);
         }
         (e0, e1, e2) = (e0 - d0, e1 - d1, e2 - d2);
     }
-    outside
+    !outside
 }
 
-/// The entry that `last`, 0 to 3, names.
+/// An edge function at a box's first center, below 0 outside by the fill rule, and its steps for a pixel: all of it
+/// in 1/256 of its own unit, of which the steps are whole; the value rounded down, which changes no sign. Corners are
+/// less than a pixel before and less than four after the center, so that 16 bits hold it at each of the box's centers.
 #[inline(always)]
-fn pick_side<S: Simd>(simd: S, last: i32x8<S>, of: [i32; LITTLE as usize]) -> i32x8<S> {
-    let is = [i32x8::splat(simd, of[0]), i32x8::splat(simd, of[1]), i32x8::splat(simd, of[2])];
-    let (one, two) = (i32x8::splat(simd, 1), i32x8::splat(simd, 2));
-    let more = last.simd_eq(two).select(is[2], i32x8::splat(simd, of[3]));
-    let less = last.simd_eq(one).select(is[1], is[0]);
-    last.simd_gt(one).select(more, less)
-}
-
-/// An edge function at a pixel center, below 0 outside by the fill rule, and its steps for 1/256 px.
-#[inline(always)]
-fn edge<S: Simd>(simd: S, at: Side<S>, from: Side<S>, to: Side<S>) -> (i32x8<S>, i32x8<S>, i32x8<S>) {
-    let zero = i32x8::splat(simd, 0);
+fn edge<S: Simd>(simd: S, from: Near<S>, to: Near<S>) -> [i16x8<S>; 3] {
+    let zero = i16x8::splat(simd, 0);
     let (right, down) = (from.1 - to.1, to.0 - from.0);
     let owned = right.simd_gt(zero) | (right.simd_eq(zero) & down.simd_gt(zero));
-    let value = right * (at.0 - from.0) + down * (at.1 - from.1);
-    (value - owned.select(zero, i32x8::splat(simd, 1)), right, down)
+    let less = simd.widen_i16x8(owned.select(zero, i16x8::splat(simd, -1)));
+    let (p, q) = (simd.widening_mul_i16x8(from.0, to.1), simd.widening_mul_i16x8(to.0, from.1));
+    [simd.narrow_i32x4((p.0 - q.0 + less.0) >> 8, (p.1 - q.1 + less.1) >> 8), right, down]
 }
 
 #[cfg(test)]
@@ -186,6 +190,8 @@ pub(super) mod tests {
     use super::*;
     use crate::pixels::SplitMix64;
     use crate::pixels::simd::{self, dispatch};
+    use crate::render::record::Bounds;
+    use crate::render::vertex::NO_SPOT;
 
     /// Whether a pixel center is inside, by the contract's words.
     pub fn covers(p: [Spot; 3], x: i64, y: i64) -> bool {
@@ -229,7 +235,9 @@ pub(super) mod tests {
                 let sorted = dispatch!(level, simd => Sorted::new(simd, &rules, &a, &b, &c));
                 for (k, ((&a, &b), &c)) in a.iter().zip(&b).zip(&c).enumerate() {
                     let p = [a, b, c];
-                    let is = |bits: u32| bits >> k & 1 == 1;
+                    let [_, _, of_tile, word] = sorted.one(k);
+                    let alive = sorted.alive >> k & 1 == 1;
+                    let (small, single) = (alive && of_tile != SINGLE, alive && of_tile == SINGLE);
                     let (low, high) = (
                         [0, 1].map(|i| p.map(|v| v[i]).into_iter().min()),
                         [0, 1].map(|i| p.map(|v| v[i]).into_iter().max()),
@@ -240,9 +248,9 @@ pub(super) mod tests {
                     let first = low.map(|v| ((i64::from(v) + 255) >> 8).max(0));
                     let last = [(high[0] >> 8).min(199), (high[1] >> 8).min(149)].map(i64::from);
                     let empty = (0..2).any(|i| first[i] > last[i]);
-                    assert_eq!(is(sorted.others), missing || (large && (rules.bends || !empty)), "{p:?}");
+                    assert_eq!(single, missing || (large && (rules.bends || !empty)), "{p:?}");
                     if missing || large {
-                        assert!(!is(sorted.small));
+                        assert!(!small);
                         odd += 1;
                         continue;
                     }
@@ -258,16 +266,17 @@ pub(super) mod tests {
                     let hit = inside != 0;
                     let drawn = area != 0 && !empty && !(rules.cull_back && area > 0);
                     // what covers a center is kept; what does not is dropped in small boxes
-                    let tiny = (0..2).all(|i| last[i] - first[i] < i64::from(LITTLE));
-                    assert_eq!(is(sorted.small), drawn && (hit || !tiny), "{p:?} {}", simd::name(level));
+                    let clear = low[0] > -256 && low[1] > -256 && high[0] < 200 * 256 && high[1] < 150 * 256;
+                    let tiny = clear && (0..2).all(|i| last[i] - first[i] < i64::from(LITTLE));
+                    assert_eq!(small, drawn && (hit || !tiny), "{p:?} {}", simd::name(level));
                     dead += usize::from(drawn && !hit && tiny);
-                    if !is(sorted.small) {
+                    if !small {
                         continue;
                     }
                     kept += 1;
-                    let (bounds, of_tile, cover) = sorted.one(k);
-                    assert_eq!(u128::from(cover), if tiny { inside } else { 0 });
-                    assert_eq!(is(sorted.front), area < 0);
+                    assert_eq!(u128::from(word as u16), if tiny { inside } else { 0 });
+                    assert_eq!(word & FRONT != 0, area < 0);
+                    let bounds = Bounds { low: sorted.one(k)[0], high: sorted.one(k)[1] };
                     assert_eq!(bounds.sides().map(i64::from), [first[0], first[1], last[0], last[1]]);
                     let tile = |x: i64, y: i64| (y / 64 * 4 + x / 64) as i32;
                     let (from, to) = (tile(first[0], first[1]), tile(last[0], last[1]));

@@ -9,7 +9,7 @@
 use super::record::Bounds;
 use super::tile::STRIDE;
 use super::vertex::{SUBPIXELS, Spot, narrow};
-use fearless_simd::{Simd, SimdBase, f32x4, f64x4, i32x4, mask32x4, prelude::*};
+use fearless_simd::{Simd, SimdBase, f32x4, f64x4, i32x4, prelude::*};
 
 /// A row of each of four triangles.
 #[derive(Clone, Copy, Default)]
@@ -32,17 +32,18 @@ struct Edge<S: Simd> {
     /// Its function at the column before the first of a row, plus 1/2, and the step to the next row.
     here: f32x4<S>,
     down: f32x4<S>,
-    /// Turns that into columns up to where it crosses the row.
+    /// Turns that into columns up to where it crosses the row; or to none where it does not bound them on the left.
     across: f32x4<S>,
-    /// Where pixels are to the right of it: they may end where `after` says, else anywhere.
-    left: mask32x4<S>,
+    before: f32x4<S>,
+    /// Where pixels are to the right of it they may end after the area, else anywhere.
     after: f32x4<S>,
 }
 
 impl<S: Simd> Corners<S> {
-    /// Snaps corners, px: x, then y.
+    /// Snaps corners, px: x, then y; areas begin at these pixels.
     #[inline(always)]
-    pub fn new(simd: S, [left, top]: [f64x4<S>; 2], x: [f64x4<S>; 3], y: [f64x4<S>; 3]) -> Self {
+    pub fn new(simd: S, [left, top]: [i32x4<S>; 2], x: [f64x4<S>; 3], y: [f64x4<S>; 3]) -> Self {
+        let (left, top) = (left << 8, top << 8);
         Self([
             [snapped(simd, x[0], left), snapped(simd, y[0], top)],
             [snapped(simd, x[1], left), snapped(simd, y[1], top)],
@@ -65,8 +66,9 @@ impl<S: Simd> Corners<S> {
             (start.to_float(), down.to_float(), (zero - right).to_float());
         // along the row: infinite, with the sign of its function, and never a left edge
         let across = f32x4::splat(simd, 1.0) / back;
+        let before = left.select(across, f32x4::splat(simd, 0.0));
         let after = left.select(after, f32x4::splat(simd, f32::MIN));
-        Edge { here: start + 0.5, down, across, left, after }
+        Edge { here: start + 0.5, down, across, before, after }
     }
 
     /// Finds the covered pixels of the rows, `at` being the area's first one and `columns` how many it has in a row; of
@@ -76,10 +78,9 @@ impl<S: Simd> Corners<S> {
         let after = columns.to_float::<f32x4<S>>() + 0.5;
         let (mut p, mut q) = (self.edge(simd, 0, after), self.edge(simd, 1, after));
         let mut r = self.edge(simd, 2, after);
-        let before = f32x4::splat(simd, 0.0);
         for row in rows {
             let (s, t, u) = (p.here * p.across, q.here * q.across, r.here * r.across);
-            let low = p.left.select(s, before).max(q.left.select(t, before)).max(r.left.select(u, before));
+            let low = (p.here * p.before).max(q.here * q.before).max(r.here * r.before);
             // left of a left edge that is after the area there is nothing anyhow
             let high = s.max(p.after).min(t.max(q.after)).min(u.max(r.after));
             // neither is below 0
@@ -93,10 +94,11 @@ impl<S: Simd> Corners<S> {
     }
 }
 
+/// Small triangles that have an area are so near the picture that f32 holds this.
 #[inline(always)]
-fn snapped<S: Simd>(simd: S, v: f64x4<S>, origin: f64x4<S>) -> i32x4<S> {
+fn snapped<S: Simd>(simd: S, v: f64x4<S>, origin: i32x4<S>) -> i32x4<S> {
     let spot = (v * SUBPIXELS + f64x4::splat(simd, 0.5)).floor();
-    narrow(simd, spot - origin * SUBPIXELS).to_int()
+    narrow(simd, spot).to_int::<i32x4<S>>() - origin
 }
 
 /// Finds the covered pixels of a triangle of any size, as the first of the four; `false` when some edge leaves the
@@ -187,13 +189,14 @@ mod tests {
     fn rows(level: Level, four: &[([Spot; 3], Bounds); 4], within: f64) -> [Row; TILE] {
         let mut rows = [Row::default(); TILE];
         let place = |k: usize, i: usize| four.map(|(p, _)| (f64::from(p[k][i]) + within) / 256.0);
-        let side = |i: usize| four.map(|(_, area)| f64::from(area.sides()[i]));
+        let side = |i: usize| four.map(|(_, area)| area.sides()[i]);
         dispatch!(level, simd => {
             let of = |v: [f64; 4]| f64x4::simd_from(simd, v);
+            let whole = |v: [i32; 4]| i32x4::simd_from(simd, v);
             let x = [of(place(0, 0)), of(place(1, 0)), of(place(2, 0))];
             let y = [of(place(0, 1)), of(place(1, 1)), of(place(2, 1))];
             let columns = four.map(|(_, area)| area.sides()[2] - area.sides()[0] + 1);
-            Corners::new(simd, [of(side(0)), of(side(1))], x, y).fill(
+            Corners::new(simd, [whole(side(0)), whole(side(1))], x, y).fill(
                 simd, i32x4::splat(simd, AT), i32x4::simd_from(simd, columns), &mut rows,
             );
         });

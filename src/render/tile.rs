@@ -1,6 +1,7 @@
 //! What is kept of a tile's pixels while it is drawn: 1/z and attributes of the nearest surface, 1/z and normal of
 //! the second-nearest. Nothing is shaded here: a pixel is, once, when the tile is written to the layer.
 
+use super::setup::Setup;
 use crate::pixels::TILE;
 
 /// Pixels from one row to the next: runs may reach past a tile's right edge, and what they leave there is junk.
@@ -10,7 +11,11 @@ pub(super) const STRIDE: usize = TILE + 8;
 pub(super) const ROW_WORDS: usize = super::MAX_SIDE / TILE / 64;
 
 /// Pixels of a slot.
-pub(super) const AREA: usize = STRIDE * TILE;
+const AREA: usize = STRIDE * TILE;
+
+/// Room of a slot's planes: a little past a power of two, so that whether four pixels from one on are within is asked by
+/// an instruction that holds the number.
+pub(super) const ROOM: usize = AREA.next_power_of_two() + 4;
 
 /// What the frame keeps of a pixel beside 1/z.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -90,16 +95,18 @@ pub(super) struct Slot {
     pub normal2: [Vec<f32>; 3],
     /// 1/z of the nearest phantom.
     pub shield: Vec<f32>,
+    /// Where triangles are set up: of one and of its strips.
+    pub setups: [Setup; 2],
 }
 
 impl Slot {
     /// Allocates what frames may keep.
     pub fn fit(&mut self, channels: Channels) {
-        let area = |wanted: bool| if wanted { AREA } else { 0 };
-        self.w.resize(AREA, 0.0);
+        let area = |wanted: bool| if wanted { ROOM } else { 0 };
+        self.w.resize(ROOM, 0.0);
         self.attributes.resize_with(channels.count(), Vec::new);
         for plane in &mut self.attributes {
-            plane.resize(AREA, 0.0);
+            plane.resize(ROOM, 0.0);
         }
         self.surface.resize(area(channels.surfaces), 0);
         self.w2.resize(area(channels.second), 0.0);
@@ -111,14 +118,20 @@ impl Slot {
 
     /// No surface anywhere, of what this frame keeps.
     pub fn clear(&mut self, channels: Channels, nothing: f32) {
-        self.w.fill(nothing);
+        fill(&mut self.w, nothing);
         if channels.second {
-            self.w2.fill(nothing);
+            fill(&mut self.w2, nothing);
         }
         if channels.phantoms {
-            self.shield.fill(nothing);
+            fill(&mut self.shield, nothing);
         }
     }
+}
+
+/// In blocks, of which `AREA` is a whole number: fewer steps than one by one.
+fn fill(plane: &mut [f32], value: f32) {
+    let (blocks, _) = plane.as_chunks_mut::<16>();
+    blocks.iter_mut().take(AREA / 16).for_each(|block| *block = [value; 16]);
 }
 
 /// What stands for no surface: the largest 1/z beyond the far plane, so that nothing there is ever nearer.

@@ -7,7 +7,7 @@ use super::field::Field;
 use super::tile::Channels;
 use crate::pixels::simd::{Level, dispatch};
 use crate::scene::Mesh;
-use fearless_simd::{Simd, SimdBase, SimdFrom, f32x4, f64x4, prelude::*};
+use fearless_simd::{Simd, SimdBase, SimdFrom, f32x4, f64x2, f64x4, prelude::*};
 use glam::{DAffine3, DMat3, DVec3, Vec3};
 use rayon::prelude::*;
 
@@ -24,20 +24,30 @@ pub(super) const NO_SPOT: Spot = [i32::MIN; 2];
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Vertex {
     /// Picture position, px.
-    pub x: f64,
-    /// Picture position, px.
-    pub y: f64,
-    /// 1/z in 1/mm; 0 where the triangle must be cut first, NaN where the vertex is not finite.
-    pub w: f64,
-    /// max(0, n·L) in 0..1, rounded to f32.
-    pub intensity: f64,
+    pub at: [f64; 2],
+    /// 1/z in 1/mm; 0 where the triangle must be cut first, NaN where the vertex is not finite. And intensity: max(0, n·L)
+    /// in 0..1, rounded to f32.
+    pub of: [f64; 2],
 }
 
 impl Vertex {
+    /// No vertex.
+    pub const NONE: Vertex = Vertex { at: [0.0; 2], of: [0.0; 2] };
+
+    #[inline(always)]
+    pub fn w(&self) -> f64 {
+        self.of[0]
+    }
+
+    #[inline(always)]
+    pub fn intensity(&self) -> f64 {
+        self.of[1]
+    }
+
     /// Puts a camera-space point on the picture; without a spot `w` stays 0 (to be cut) or is NaN.
     #[inline]
     pub fn project(point: DVec3, near: f64, field: &Field) -> Self {
-        let nowhere = |w| Self { w, ..Self::default() };
+        let nowhere = |w| Self { at: [0.0; 2], of: [w, 0.0] };
         if !point.is_finite() {
             return nowhere(f64::NAN);
         }
@@ -46,14 +56,14 @@ impl Vertex {
         }
         let w = 1.0 / point.z;
         let Some(px) = field.project(point.x * w, point.y * w) else { return nowhere(0.0) };
-        Self { x: px.x, y: px.y, w, intensity: 0.0 }
+        Self { at: px.to_array(), of: [w, 0.0] }
     }
 
     /// Its place snapped, or `NO_SPOT`.
     #[inline]
     pub fn spot(&self) -> Spot {
-        let seen = self.w > 0.0;
-        if seen { [self.x, self.y].map(|v| (v * SUBPIXELS + 0.5).floor() as i32) } else { NO_SPOT }
+        let seen = self.w() > 0.0;
+        if seen { self.at.map(|v| (v * SUBPIXELS + 0.5).floor() as i32) } else { NO_SPOT }
     }
 }
 
@@ -179,26 +189,32 @@ fn place_run<S: Simd>(
     let mut least = f64x4::splat(simd, f64::INFINITY);
     let mut most = f64x4::splat(simd, 0.0);
     let mut cut = false;
-    let zero = f64x4::splat(simd, 0.0);
+    let (zero, infinite) = (f64x4::splat(simd, 0.0), f64x4::splat(simd, f64::INFINITY));
     for (batch, points) in positions.chunks(BATCH).enumerate() {
         let at = batch * BATCH;
         let p = turned(simd, m, gather(simd, points));
         let t = stand.to_camera.translation;
         let (x, y, z) = (p[0] + t.x, p[1] + t.y, p[2] + t.z);
-        // what is not finite times 0 is not a number
-        let finite = (x * zero + y * zero + z * zero).simd_eq(zero);
-        let w = f64x4::splat(simd, 1.0) / z;
-        let (px, py, inside) = stand.field.project_four(simd, x * w, y * w);
-        let whole = finite & inside & z.simd_ge(f64x4::splat(simd, stand.near));
-        let w = whole.select(w, finite.select(zero, f64x4::splat(simd, f64::NAN)));
-        let (px, py) = (whole.select(px, zero), whole.select(py, zero));
+        let mut w = f64x4::splat(simd, 1.0) / z;
+        let (mut px, mut py, inside) = stand.field.project_four(simd, x * w, y * w);
+        // inside is not what is infinite or not a number, but for z
+        let whole = inside & z.simd_ge(f64x4::splat(simd, stand.near)) & z.simd_lt(infinite);
+        let seen = whole.to_bitmask();
+        if seen != 15 {
+            // what is not finite times 0 is not a number
+            let finite = (x * zero + y * zero + z * zero).simd_eq(zero);
+            w = whole.select(w, finite.select(zero, f64x4::splat(simd, f64::NAN)));
+            (px, py) = (whole.select(px, zero), whole.select(py, zero));
+        }
         // the sum's last 32 bits are the whole number
         let magic = f64x4::splat(simd, 6_755_399_441_055_744.0);
         let half = f64x4::splat(simd, 0.5);
-        let none = f64x4::splat(simd, f64::from(NO_SPOT[0]));
-        let sx = whole.select((px * SUBPIXELS + half).floor(), none) + magic;
-        let sy = whole.select((py * SUBPIXELS + half).floor(), none) + magic;
-        let seen = whole.to_bitmask();
+        let mut sx = (px * SUBPIXELS + half).floor() + magic;
+        let mut sy = (py * SUBPIXELS + half).floor() + magic;
+        if seen != 15 {
+            let none = f64x4::splat(simd, f64::from(NO_SPOT[0])) + magic;
+            (sx, sy) = (whole.select(sx, none), whole.select(sy, none));
+        }
         let counted = points.len();
         if counted == BATCH && seen == 15 {
             least = w.simd_lt(least).select(w, least);
@@ -209,7 +225,7 @@ fn place_run<S: Simd>(
         if stand.lit {
             let n = turned(simd, &turn, gather(simd, given.get(at..).unwrap_or_default()));
             let length = (n[0] * n[0] + n[1] * n[1] + n[2] * n[2]).sqrt();
-            let known = length.simd_gt(zero) & length.simd_lt(f64x4::splat(simd, f64::INFINITY));
+            let known = length.simd_gt(zero) & length.simd_lt(infinite);
             let nx = known.select(n[0] / length, zero);
             let ny = known.select(n[1] / length, zero);
             let nz = known.select(n[2] / length, zero);
@@ -226,24 +242,21 @@ fn place_run<S: Simd>(
                 }
             }
         }
-        // a row a vertex
-        let (xw, yi) = (px.interleave(w), py.interleave(intensity));
-        let ((a, b), (c, d)) = (xw.0.interleave(yi.0), xw.1.interleave(yi.1));
-        let rows = [a.to_array(), b.to_array(), c.to_array(), d.to_array()];
+        let (ats, ofs) = (pairs(simd, px, py), pairs(simd, w, intensity));
         let (sx, sy) = (sx.to_array(), sy.to_array());
         match (spots[at..].first_chunk_mut::<BATCH>(), places[at..].first_chunk_mut::<BATCH>()) {
             (Some(spots), Some(places)) => {
                 for k in 0..BATCH {
                     spots[k] = [sx[k].to_bits() as i32, sy[k].to_bits() as i32];
-                    let [x, y, w, intensity] = rows[k];
-                    places[k] = Vertex { x, y, w, intensity };
+                    ats[k].store_slice(&mut places[k].at);
+                    ofs[k].store_slice(&mut places[k].of);
                 }
             }
             _ => {
                 for (k, (spot, place)) in spots[at..].iter_mut().zip(&mut places[at..]).enumerate() {
                     *spot = [sx[k].to_bits() as i32, sy[k].to_bits() as i32];
-                    let [x, y, w, intensity] = rows[k];
-                    *place = Vertex { x, y, w, intensity };
+                    ats[k].store_slice(&mut place.at);
+                    ofs[k].store_slice(&mut place.of);
                 }
             }
         }
@@ -262,6 +275,13 @@ fn place_run<S: Simd>(
         most: most.into_iter().fold(0.0, f64::max),
         cut,
     }
+}
+
+/// One of each, four times.
+#[inline(always)]
+fn pairs<S: Simd>(simd: S, first: f64x4<S>, second: f64x4<S>) -> [f64x2<S>; BATCH] {
+    let ((a, b), (c, d)) = (simd.split_f64x4(first), simd.split_f64x4(second));
+    [simd.zip_low_f64x2(a, c), simd.zip_high_f64x2(a, c), simd.zip_low_f64x2(b, d), simd.zip_high_f64x2(b, d)]
 }
 
 /// Up to four points side by side; the rest is zero.
@@ -350,15 +370,15 @@ mod tests {
                     let mut vertex = Vertex::project(point, 0.5, &field);
                     let normal = mesh.normals.get(k).copied().unwrap_or_default().as_dvec3();
                     let normal = unit(normal_matrix(&to_camera) * normal);
-                    vertex.intensity = f64::from(normal.dot(light.as_dvec3()).max(0.0) as f32);
-                    let w = vertex.w;
+                    vertex.of[1] = f64::from(normal.dot(light.as_dvec3()).max(0.0) as f32);
+                    let w = vertex.w();
                     let depth = if w > 0.0 { Depths { least: w, most: w, cut: false } } else { Depths::NONE };
                     expected = expected.join(Depths { cut: w == 0.0, ..depth });
-                    let bits = |v: Vertex| [v.x, v.y, v.w, v.intensity].map(f64::to_bits);
+                    let bits = |v: Vertex| [v.at, v.of].map(|pair| pair.map(f64::to_bits));
                     assert_eq!(out.spots[k], vertex.spot(), "vertex {k} {}", simd::name(level));
                     assert_eq!(bits(out.places[k]), bits(vertex), "vertex {k} {}", simd::name(level));
                     assert_eq!(Vec3::from_slice(&out.normals[k]), normal.as_vec3(), "vertex {k}");
-                    assert_eq!(f64::from(out.normals[k][3]), vertex.intensity, "vertex {k}");
+                    assert_eq!(f64::from(out.normals[k][3]), vertex.intensity(), "vertex {k}");
                 }
                 assert_eq!(
                     (depths.least, depths.most, depths.cut),
