@@ -9,12 +9,12 @@ usage: test.py [--host BINARY] [--dir DIR] [--frames N] [--skip-build] [--only l
           frames in order, marker tracked, every shown frame's scan-out buffer identical with a replay of its trace
           on this machine, and pictures taken from the emulated screen identical with the replay's files.
 2. clock  The board's clock counts instructions: the program's own times become million ARM instructions, of the
-          whole frame's stages and of every style alone. Checked: no style costs more than its bound, and every
-          style's picture is the one this machine draws, byte for byte.
+          whole frame's stages, of finding and following a marker (markers.py), and of every style alone. Checked:
+          none costs more than its bound, and every style's picture is the one this machine draws, byte for byte.
 3. recover  The camera is disconnected, unbound and made to fail, in random order: recover.py. With --soak as often as
           a release wants it, else a twentieth. Checked besides: the first picture comes soon after the kernel's start.
 4. plugs  The screen's cable, another program on the screen, the button board's USB plug: plugs.py.
-5. cuts   Only when asked for (`--only cuts`): the power goes while settings are written: cuts.py.
+5. cuts   The power goes while settings are written: cuts.py.
 
 Checked besides: the binary is at most 8 MB.
 
@@ -34,6 +34,7 @@ from pathlib import Path
 
 sys.dont_write_bytecode = True  # nothing is left beside the sources
 import cuts
+import markers
 import plugs
 import recover
 from board import CLIP, HERE, ROOT, WIDTH, Board, check, make_clip, note, read_png, read_ppm, run, verdict
@@ -76,6 +77,7 @@ for style in {styles}; do
   vernissage stylize --style $style --threads 1 /host/frame.png --out /host/$style.png 2>> /host/clock.err \\
     || echo BOARD: ran 1
 done
+{markers}
 echo BOARD: ran 0
 """
 
@@ -178,7 +180,9 @@ def clock(host, folder):
         check(False, "clock: a picture made by the program")
         return
     shutil.copy(next((folder / "frame").glob("*.png")), folder / "host" / "frame.png")
-    (folder / "host" / "run.sh").write_text(CLOCK.format(styles=" ".join(BUDGET)))
+    if not markers.make(host, folder):
+        return
+    (folder / "host" / "run.sh").write_text(CLOCK.format(styles=" ".join(BUDGET), markers=markers.SCRIPT))
     board = Board(folder, "clock", ["-smp", "1", "-icount", "shift=0,sleep=off"])
     try:
         board.wait_for("ran", 480)
@@ -191,6 +195,7 @@ def clock(host, folder):
     note("ms on the board's clock = million ARM instructions:")
     for line in (folder / "host" / "clock.txt").read_text().splitlines():
         note(line)
+    markers.judge(folder)
     costs = {line["style"]: min(line["ms"])
              for line in map(json.loads, (folder / "host" / "clock.jsonl").read_text().splitlines())}
     same = []
@@ -236,7 +241,7 @@ def main():
         recover.recover(folder, chosen.soak)
     if chosen.only in (None, "plugs"):
         plugs.plugs(host.resolve(), folder, chosen.soak)
-    if chosen.only == "cuts":
+    if chosen.only in (None, "cuts"):
         cuts.cuts(folder, chosen.soak)
     note(f"{time.monotonic() - began:.0f} s, logs and pictures in {folder}")
     return verdict("virtual board")
