@@ -5,12 +5,12 @@
 use super::View;
 use super::bins::Chunk;
 use super::raster;
-use super::shade::{Palette, shade_row};
+use super::shade::{Palette, RUN, load, shade_row};
 use super::tile::{STRIDE, Slot};
 use crate::frame::Layer;
 use crate::pixels::simd::{Level, dispatch};
 use crate::pixels::{Plane, Rect, TILE, TileGrid, TileSet};
-use fearless_simd::Simd;
+use fearless_simd::{Simd, SimdBase, f32x8, prelude::*};
 
 /// What tiles are drawn from and written with.
 pub(super) struct Painter<'a> {
@@ -227,12 +227,12 @@ impl Sheets<'_> {
         self.write_objects(palette, slot, rect);
         let first = palette.channels.normal_at();
         if let (false, [x, y, z, ..]) = (self.normal[0].samples.is_empty(), &slot.attributes[first..]) {
-            write_normals(&slot.w, nothing, [x, y, z], &mut self.normal, rect);
+            write_normals(simd, &slot.w, nothing, [x, y, z], &mut self.normal, rect);
         }
         if !self.normal2[0].samples.is_empty() {
             self.depth2.write_depth(&slot.w2, nothing, rect);
             let [x, y, z] = &slot.normal2;
-            write_normals(&slot.w2, nothing, [x, y, z], &mut self.normal2, rect);
+            write_normals(simd, &slot.w2, nothing, [x, y, z], &mut self.normal2, rect);
         }
     }
 }
@@ -257,13 +257,36 @@ impl Sheets<'_> {
     }
 }
 
+/// Normals to unit length, row by row.
 #[inline(always)]
-fn write_normals(w: &[f32], nothing: f32, from: [&[f32]; 3], to: &mut [Sheet<'_, f32>; 3], rect: Rect) {
-    let [x, y, z] = to;
-    for (row, ((x, y), z)) in x.rows(rect).zip(y.rows(rect)).zip(z.rows(rect)).enumerate() {
-        let part = row * STRIDE..row * STRIDE + x.len();
-        let from = [&from[0][part.clone()], &from[1][part.clone()], &from[2][part.clone()]];
-        unit_row(&w[part], nothing, from, [x, y, z]);
+fn write_normals<S: Simd>(
+    simd: S,
+    w: &[f32],
+    nothing: f32,
+    [x, y, z]: [&[f32]; 3],
+    to: &mut [Sheet<'_, f32>; 3],
+    rect: Rect,
+) {
+    let rows = w
+        .chunks_exact(STRIDE)
+        .zip(x.chunks_exact(STRIDE))
+        .zip(y.chunks_exact(STRIDE).zip(z.chunks_exact(STRIDE)));
+    for (row, ((w, x), (y, z))) in rows.enumerate().take(rect.y1 - rect.y0) {
+        let (Some(w), Some(x)) = (w.first_chunk(), x.first_chunk()) else { return };
+        let (Some(y), Some(z)) = (y.first_chunk(), z.first_chunk()) else { return };
+        let [ox, oy, oz] = &mut *to;
+        if let (Some(ox), Some(oy), Some(oz)) =
+            (ox.whole(rect, row), oy.whole(rect, row), oz.whole(rect, row))
+        {
+            unit_row(simd, w, nothing, [x, y, z], [ox, oy, oz]);
+        } else {
+            let [mut nx, mut ny, mut nz] = [[0.0; TILE]; 3];
+            unit_row(simd, w, nothing, [x, y, z], [&mut nx, &mut ny, &mut nz]);
+            for (out, n) in [ox, oy, oz].into_iter().zip([nx, ny, nz]) {
+                let out = out.part(rect, row);
+                out.copy_from_slice(&n[..out.len()]);
+            }
+        }
     }
 }
 
@@ -276,12 +299,27 @@ fn depth_row(w: &[f32], nothing: f32, out: &mut [f32]) {
 
 /// Divides by the length; no direction and no surface give 0.
 #[inline(always)]
-fn unit_row(w: &[f32], nothing: f32, from: [&[f32]; 3], out: [&mut [f32]; 3]) {
-    let [ox, oy, oz] = out;
-    for (i, &w) in w.iter().enumerate() {
-        let (x, y, z) = (from[0][i], from[1][i], from[2][i]);
-        let length = (x * x + y * y + z * z).sqrt();
-        let known = w > nothing && length > 0.0 && length < f32::INFINITY;
-        (ox[i], oy[i], oz[i]) = if known { (x / length, y / length, z / length) } else { (0.0, 0.0, 0.0) };
+fn unit_row<S: Simd>(
+    simd: S,
+    w: &[f32; TILE],
+    nothing: f32,
+    [x, y, z]: [&[f32; TILE]; 3],
+    [ox, oy, oz]: [&mut [f32; TILE]; 3],
+) {
+    let of = |v: f32| f32x8::splat(simd, v);
+    for at in (0..TILE).step_by(RUN) {
+        let covered = load(simd, w, at).simd_gt(of(nothing));
+        let (mut nx, mut ny, mut nz) = (of(0.0), of(0.0), of(0.0));
+        if covered.any_true() {
+            let (x, y, z) = (load(simd, x, at), load(simd, y, at), load(simd, z, at));
+            let squared = x * x + y * y + z * z;
+            let known = covered & squared.simd_gt(of(0.0)) & squared.simd_lt(of(f32::INFINITY));
+            let inverse = known.select(of(1.0) / squared.sqrt(), of(0.0));
+            (nx, ny, nz) =
+                (known.select(x * inverse, nx), known.select(y * inverse, ny), known.select(z * inverse, nz));
+        }
+        nx.store_slice(&mut ox[at..at + RUN]);
+        ny.store_slice(&mut oy[at..at + RUN]);
+        nz.store_slice(&mut oz[at..at + RUN]);
     }
 }
