@@ -32,21 +32,17 @@ pub(super) fn draw_tile(
 ) -> bool {
     slot.clear(view.channels, view.nothing);
     let Channels { light, normals, uv, colors, surfaces, second, phantoms, flat: _ } = view.channels;
-    let Some((mut pixels, setups)) = Pixels::of(slot, view.channels) else { return false };
-    let pixels = &mut pixels;
     let rect = view.shot.grid.rect(tile);
     let bounds = [rect.x0, rect.y0, rect.x1 - 1, rect.y1 - 1].map(|v| v as i32);
     let (pen, walk) = (Tile { view, bounds }, Walk::new(view, chunks, tile));
     match (second, normals || !light, uv || colors || surfaces || phantoms) {
         (false, false, false) => {
-            dispatch!(level, simd => draw_records::<_, PLAIN>(simd, &pen, walk, setups, pixels))
+            dispatch!(level, simd => draw_records::<_, PLAIN>(simd, &pen, walk, slot))
         }
-        (true, _, false) => {
-            dispatch!(level, simd => draw_records::<_, BOTH>(simd, &pen, walk, setups, pixels))
-        }
-        _ => dispatch!(level, simd => draw_records::<_, ANY>(simd, &pen, walk, setups, pixels)),
+        (true, _, false) => dispatch!(level, simd => draw_records::<_, BOTH>(simd, &pen, walk, slot)),
+        _ => dispatch!(level, simd => draw_records::<_, ANY>(simd, &pen, walk, slot)),
     }
-    let mut rows = slot.w.chunks_exact(STRIDE).take(rect.y1 - rect.y0);
+    let mut rows = slot.w().chunks_exact(STRIDE).take(rect.y1 - rect.y0);
     let most = |row: &[f32]| row.iter().fold(0, |most, w| w.to_bits().max(most));
     rows.any(|row| most(&row[..rect.x1 - rect.x0]) > view.nothing.to_bits())
 }
@@ -91,14 +87,10 @@ impl<'a> Walk<'a> {
 
 /// Draws small triangles four at a time, one after the other, and all others singly.
 #[inline(always)]
-fn draw_records<S: Simd, const MODE: u8>(
-    simd: S,
-    tile: &Tile<'_>,
-    walk: Option<Walk<'_>>,
-    [setup, spare]: &mut [Setup; 2],
-    pixels: &mut Pixels<'_>,
-) {
+fn draw_records<S: Simd, const MODE: u8>(simd: S, tile: &Tile<'_>, walk: Option<Walk<'_>>, slot: &mut Slot) {
     let Some(mut walk) = walk else { return };
+    let (mut pixels, [setup, spare]) = Pixels::of::<MODE>(slot);
+    let pixels = &mut pixels;
     let none = Triangle { record: &Record::NONE, chunk: walk.chunk, places: [&Vertex::NONE; 3] };
     let (mut four, mut count) = ([none; 4], 0);
     while let Some(record) = walk.next() {
@@ -311,11 +303,11 @@ impl<S: Simd> Ink<S> {
         if MODE == PLAIN {
             run.draw_plain(simd, light, pixels);
         } else if MODE == BOTH {
-            run.draw_both(simd, &self.four, &self.four_right, record.face, pixels);
+            run.draw_both(simd, &self.four, &self.four_right, record.face, channels.light, pixels);
         } else if self.phantom {
-            run.hide(simd, pixels);
+            run.hide(simd, channels, pixels);
         } else {
-            let others = &self.others[..channels.count() - usize::from(channels.light)];
+            let others = &self.others[..channels.others()];
             run.draw(simd, record.surface, channels, light, others, pixels);
         }
     }
@@ -351,9 +343,6 @@ fn draw_little<S: Simd, const MODE: u8>(
     pixels: &mut Pixels<'_>,
 ) {
     let (k, pixels) = (k % 4, &mut pixels.again());
-    if MODE == PLAIN && !pixels.has_light() {
-        return;
-    }
     let mut cover = i32::from(triangle.record.cover);
     let bits = S::i32s::from_slice(simd, &COVER[..S::i32s::LEN]);
     let xs: S::f32s = S::i32s::from_slice(simd, &LANES[..S::i32s::LEN]).to_float();
@@ -384,9 +373,6 @@ fn draw_rows<S: Simd, const MODE: u8, const ODD: bool>(
     pixels: &mut Pixels<'_>,
 ) {
     let (k, pixels) = (k % 4, &mut pixels.again());
-    if MODE == PLAIN && !pixels.has_light() {
-        return;
-    }
     let length = S::f32s::LEN as i32;
     let lanes = S::i32s::from_slice(simd, &LANES[..S::i32s::LEN]);
     let first_xs: S::f32s = lanes.to_float();

@@ -79,7 +79,7 @@ impl Painter<'_> {
                 sheets.clear(rect);
             }
             if reached && self.palette.channels.phantoms {
-                let shield = &slot.shield;
+                let shield = &slot.others[self.palette.channels.shield_at()];
                 dispatch!(self.level, _simd => sheets.shield.write_depth(shield, self.palette.nothing, rect));
             }
         }
@@ -197,14 +197,14 @@ impl Sheets<'_> {
 
     #[inline(always)]
     fn write<S: Simd>(&mut self, simd: S, palette: &Palette<'_>, slot: &Slot, rect: Rect) {
-        let nothing = palette.nothing;
+        let (nothing, channels) = (palette.nothing, palette.channels);
         if self.color[0].samples.is_empty() {
-            self.depth.write_depth(&slot.w, nothing, rect);
+            self.depth.write_depth(slot.w(), nothing, rect);
         } else {
             let [r, g, b] = &mut self.color;
-            let gray = palette.gray().zip(slot.attributes.first());
+            let gray = palette.gray().zip(slot.others.first());
             if let Some((gray, light)) = gray {
-                let from = slot.w.chunks_exact(STRIDE).zip(light.chunks_exact(STRIDE));
+                let from = slot.w().chunks_exact(STRIDE).zip(light.chunks_exact(STRIDE));
                 for (y, (w, light)) in from.enumerate().take(rect.y1 - rect.y0) {
                     let (Some(w), Some(light)) = (w.first_chunk(), light.first_chunk()) else { return };
                     let whole =
@@ -225,14 +225,14 @@ impl Sheets<'_> {
             }
         }
         self.write_objects(palette, slot, rect);
-        let first = palette.channels.normal_at();
-        if let (false, [x, y, z, ..]) = (self.normal[0].samples.is_empty(), &slot.attributes[first..]) {
-            write_normals(simd, &slot.w, nothing, [x, y, z], &mut self.normal, rect);
+        if let (false, [w, x, y, z]) = (self.normal[0].samples.is_empty(), &slot.near[..]) {
+            write_normals(simd, w, nothing, [x, y, z], &mut self.normal, rect);
         }
-        if !self.normal2[0].samples.is_empty() {
-            self.depth2.write_depth(&slot.w2, nothing, rect);
-            let [x, y, z] = &slot.normal2;
-            write_normals(simd, &slot.w2, nothing, [x, y, z], &mut self.normal2, rect);
+        if let (false, [w, x, y, z, ..]) =
+            (self.normal2[0].samples.is_empty(), &slot.others[channels.second_at()..])
+        {
+            self.depth2.write_depth(w, nothing, rect);
+            write_normals(simd, w, nothing, [x, y, z], &mut self.normal2, rect);
         }
     }
 }
@@ -245,7 +245,7 @@ impl Sheets<'_> {
         let of_all = model(0);
         for (y, row) in self.object.rows(rect).enumerate() {
             let part = y * STRIDE..y * STRIDE + row.len();
-            for (out, &w) in row.iter_mut().zip(&slot.w[part.clone()]) {
+            for (out, &w) in row.iter_mut().zip(&slot.w()[part.clone()]) {
                 *out = if w > palette.nothing { of_all } else { 0 };
             }
             if palette.channels.surfaces {

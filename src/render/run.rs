@@ -1,64 +1,46 @@
 //! A run of pixels in a row of a tile: the depth test, and what is kept of the nearest and second-nearest surface.
 
-use super::setup::Setup;
+use super::setup::{BOTH, PLAIN, Setup};
 use super::slopes::{Slope, Slopes};
-use super::tile::{Channels, ROOM, Slot};
+use super::tile::{Channels, Slot, Values};
 use fearless_simd::{Simd, prelude::*};
 
-/// The pixels of a slot, plane by plane; those that the frame does not keep are empty.
+/// The pixels of a slot, as the case at hand needs them.
 pub(super) struct Pixels<'a> {
-    w: &'a mut [f32; ROOM],
-    light: Option<&'a mut [f32; ROOM]>,
-    normal: [&'a mut [f32]; 3],
-    /// Texture coordinates and vertex color.
-    others: &'a mut [Vec<f32>],
+    /// 1/z and intensity, where there is nothing else.
+    plain: Option<(&'a mut Values, &'a mut Values)>,
+    /// Both layers, where there is no more than light beside.
+    both: Option<(&'a mut [Values; 4], &'a mut [Values; 5])>,
+    /// Otherwise.
+    near: &'a mut [Values],
+    others: &'a mut [Values],
     surface: &'a mut [i32],
-    w2: &'a mut [f32],
-    normal2: [&'a mut [f32]; 3],
-    shield: &'a mut [f32],
 }
 
 impl<'a> Pixels<'a> {
-    /// And where triangles are set up; `None` when the slot has no room.
-    pub fn of(slot: &'a mut Slot, channels: Channels) -> Option<(Self, &'a mut [Setup; 2])> {
-        let (light, more) = slot.attributes.split_at_mut(channels.normal_at());
-        let (normal, others) = more.split_at_mut(channels.uv_at() - channels.normal_at());
-        let mut normal = normal.iter_mut();
-        let mut next = || normal.next().map(Vec::as_mut_slice).unwrap_or_default();
-        let pixels = Self {
-            w: slot.w.first_chunk_mut()?,
-            light: light.first_mut().and_then(|plane| plane.first_chunk_mut()),
-            normal: [next(), next(), next()],
-            others,
-            surface: &mut slot.surface,
-            w2: &mut slot.w2,
-            normal2: slot.normal2.each_mut().map(Vec::as_mut_slice),
-            shield: &mut slot.shield,
-        };
-        Some((pixels, &mut slot.setups))
-    }
-}
-
-impl Pixels<'_> {
-    /// Whether light is kept.
+    /// And where triangles are set up.
     #[inline(always)]
-    pub fn has_light(&self) -> bool {
-        self.light.is_some()
+    pub fn of<const MODE: u8>(slot: &'a mut Slot) -> (Self, &'a mut [Setup; 2]) {
+        let (near, others) = (&mut slot.near[..], &mut slot.others[..]);
+        let mut pixels =
+            Self { plain: None, both: None, near: &mut [], others: &mut [], surface: &mut slot.surface };
+        match MODE {
+            PLAIN => pixels.plain = near.first_mut().zip(others.first_mut()),
+            BOTH => pixels.both = near.first_chunk_mut().zip(others.first_chunk_mut()),
+            _ => (pixels.near, pixels.others) = (near, others),
+        }
+        (pixels, &mut slot.setups)
     }
 
     /// The same for a while: in a place of its own, of which a loop keeps in registers what it needs.
     #[inline(always)]
     pub fn again(&mut self) -> Pixels<'_> {
-        let ([a, b, c], [d, e, f]) = (&mut self.normal, &mut self.normal2);
         Pixels {
-            w: self.w,
-            light: self.light.as_deref_mut(),
-            normal: [a, b, c],
+            plain: self.plain.as_mut().map(|(w, light)| (&mut **w, &mut **light)),
+            both: self.both.as_mut().map(|(near, others)| (&mut **near, &mut **others)),
+            near: self.near,
             others: self.others,
             surface: self.surface,
-            w2: self.w2,
-            normal2: [d, e, f],
-            shield: self.shield,
         }
     }
 }
@@ -84,36 +66,35 @@ pub(super) struct Run<S: Simd> {
 
 impl<S: Simd> Run<S> {
     #[inline(always)]
-    fn load(&self, simd: S, plane: &[f32]) -> S::f32s {
+    fn load(&self, simd: S, plane: &Values) -> S::f32s {
         S::f32s::from_slice(simd, &plane[self.at..self.at + S::f32s::LEN])
     }
 
     #[inline(always)]
-    fn store(&self, value: S::f32s, plane: &mut [f32]) {
+    fn store(&self, value: S::f32s, plane: &mut Values) {
         value.store_slice(&mut plane[self.at..self.at + S::f32s::LEN]);
     }
 
     /// Stores the value where it wins.
     #[inline(always)]
-    fn keep(&self, simd: S, wins: S::mask32s, value: S::f32s, plane: &mut [f32]) {
+    fn keep(&self, simd: S, wins: S::mask32s, value: S::f32s, plane: &mut Values) {
         self.store(wins.select(value, self.load(simd, plane)), plane);
     }
 
     /// Where there is light and nothing else.
     #[inline(always)]
     pub fn draw_plain(&self, simd: S, light: Line<S::f32s>, pixels: &mut Pixels<'_>) {
-        let Some(lights) = pixels.light.as_mut() else { return };
-        let (before, old) = (self.load(simd, &*pixels.w), self.load(simd, &**lights));
-        // 1/z is never below 0. Compilers make masked stores of a plane that is read, selected from and written: slow
-        // where the next triangle reads it
+        let Some((ws, lights)) = pixels.plain.as_mut() else { return };
+        let (before, old) = (self.load(simd, ws), self.load(simd, lights));
+        // 1/z is never below 0
         let here = self.inside.select(self.here, S::f32s::simd_from(simd, 0.0));
         let wins = here.simd_gt(before);
         let new = light.start + self.xs * light.right;
-        self.store(before.max(here), pixels.w);
-        self.store(wins.select(new, old), &mut **lights);
+        self.store(before.max(here), ws);
+        self.store(wins.select(new, old), lights);
     }
 
-    /// Where there are both layers and no more than light beside.
+    /// Where there are both layers and no more than light beside; `lit` is whether that is kept.
     #[inline(always)]
     pub fn draw_both(
         &self,
@@ -121,10 +102,12 @@ impl<S: Simd> Run<S> {
         slopes: &Slopes<S>,
         right: &[S::f32s; 4],
         face: f32,
+        lit: bool,
         pixels: &mut Pixels<'_>,
     ) {
+        let Some(([ws, first @ ..], [lights, w2s, second @ ..])) = pixels.both.as_mut() else { return };
         let (here, inside) = (self.here, self.inside);
-        let (before, before2) = (self.load(simd, &*pixels.w), self.load(simd, pixels.w2));
+        let (before, before2) = (self.load(simd, ws), self.load(simd, w2s));
         let wins = inside & here.simd_gt(before);
         // a fragment behind the first may be the second; a new first makes the old one second
         let behind = inside & here.simd_lt(before) & here.simd_gt(before2);
@@ -132,24 +115,22 @@ impl<S: Simd> Run<S> {
             return;
         }
         let start = slopes.at(simd, f64::from(self.y));
-        let light = pixels.light.as_mut();
-        let old_light = light.as_ref().map_or(here, |light| self.load(simd, &***light));
-        self.store(wins.select(before, behind.select(here, before2)), pixels.w2);
-        self.store(wins.select(here, before), pixels.w);
-        for k in 0..3 {
-            let (first, second) = (&mut *pixels.normal[k], &mut *pixels.normal2[k]);
+        let old_light = self.load(simd, lights);
+        self.store(wins.select(before, behind.select(here, before2)), w2s);
+        self.store(wins.select(here, before), ws);
+        for (k, (first, second)) in first.iter_mut().zip(second).enumerate() {
             let new = S::f32s::simd_from(simd, start[k]) + self.xs * right[k];
             let (old, old2) = (self.load(simd, first), self.load(simd, second));
             self.store(wins.select(old, behind.select(new, old2)), second);
             self.store(wins.select(new, old), first);
         }
-        if let Some(light) = light {
+        if lit {
             let new = if face >= 0.0 {
                 S::f32s::simd_from(simd, face)
             } else {
                 S::f32s::simd_from(simd, start[3]) + self.xs * right[3]
             };
-            self.store(wins.select(new, old_light), &mut **light);
+            self.store(wins.select(new, old_light), lights);
         }
     }
 
@@ -161,10 +142,11 @@ impl<S: Simd> Run<S> {
 
     /// Keeps what a phantom hides.
     #[inline(always)]
-    pub fn hide(&self, simd: S, pixels: &mut Pixels<'_>) {
-        let before = self.load(simd, pixels.shield);
+    pub fn hide(&self, simd: S, channels: Channels, pixels: &mut Pixels<'_>) {
+        let Some(shield) = pixels.others.get_mut(channels.shield_at()) else { return };
+        let before = self.load(simd, shield);
         let nearer = self.inside & self.here.simd_gt(before);
-        self.store(nearer.select(self.here, before), pixels.shield);
+        self.store(nearer.select(self.here, before), shield);
     }
 
     #[inline(always)]
@@ -178,21 +160,23 @@ impl<S: Simd> Run<S> {
         pixels: &mut Pixels<'_>,
     ) {
         let (here, mut inside) = (self.here, self.inside);
+        let (near, rest) = (&mut *pixels.near, &mut *pixels.others);
         if channels.phantoms {
-            inside &= here.simd_gt(self.load(simd, pixels.shield));
+            inside &= here.simd_gt(self.load(simd, &rest[channels.shield_at()]));
         }
-        let before = self.load(simd, &*pixels.w);
+        let before = self.load(simd, &near[0]);
         let wins = inside & here.simd_gt(before);
         let any = wins.any_true();
         if channels.second {
             // a fragment behind the first may be the second; a new first makes the old one second
-            let before2 = self.load(simd, pixels.w2);
+            let seconds = &mut rest[channels.second_at()..];
+            let before2 = self.load(simd, &seconds[0]);
             let behind = inside & here.simd_lt(before) & here.simd_gt(before2);
             if !any && behind.all_false() {
                 return;
             }
-            self.store(wins.select(before, behind.select(here, before2)), pixels.w2);
-            for ((slope, first), second) in others.iter().zip(&pixels.normal).zip(&mut pixels.normal2) {
+            self.store(wins.select(before, behind.select(here, before2)), &mut seconds[0]);
+            for ((slope, first), second) in others.iter().zip(&near[1..]).zip(&mut seconds[1..]) {
                 let (old, old2) = (self.load(simd, first), self.load(simd, second));
                 let new = self.value(simd, slope);
                 self.store(wins.select(old, behind.select(new, old2)), second);
@@ -201,16 +185,16 @@ impl<S: Simd> Run<S> {
         if !any {
             return;
         }
-        self.store(wins.select(here, before), pixels.w);
-        if let Some(plane) = pixels.light.as_mut() {
+        self.store(wins.select(here, before), &mut near[0]);
+        if channels.light {
             let new = light.start + self.xs * light.right;
-            self.keep(simd, wins, new, &mut **plane);
+            self.keep(simd, wins, new, &mut rest[0]);
         }
         let (normals, others) = others.split_at(if channels.normals { 3 } else { 0 });
-        for (slope, plane) in normals.iter().zip(&mut pixels.normal) {
+        for (slope, plane) in normals.iter().zip(&mut near[1..]) {
             self.keep(simd, wins, self.value(simd, slope), plane);
         }
-        for (slope, plane) in others.iter().zip(&mut *pixels.others) {
+        for (slope, plane) in others.iter().zip(&mut rest[channels.uv_at()..]) {
             self.keep(simd, wins, self.value(simd, slope), plane);
         }
         if channels.surfaces {

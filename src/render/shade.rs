@@ -136,7 +136,7 @@ pub(super) fn shade_row<S: Simd>(
     let zero = i32x8::splat(simd, 0);
     for x in (0..depth.len()).step_by(RUN) {
         let at = row * STRIDE + x;
-        let w = load(simd, &slot.w, at);
+        let w = load(simd, slot.w(), at);
         let covered = w.simd_gt(f32x8::splat(simd, palette.nothing));
         let mut left = covered.to_bitmask();
         if left == 0 {
@@ -193,21 +193,20 @@ impl Surface {
     ) -> (i32x8<S>, i32x8<S>, i32x8<S>) {
         let channels = palette.channels;
         let light = match self.kind {
-            Kind::Smooth => unit_range(simd, load(simd, &slot.attributes[0], at) * z),
-            Kind::Flat => load(simd, &slot.attributes[0], at),
+            Kind::Smooth => unit_range(simd, load(simd, &slot.others[0], at) * z),
+            Kind::Flat => load(simd, &slot.others[0], at),
             Kind::Toon => {
                 let mut out = [0.0f32; RUN];
-                unit_range(simd, load(simd, &slot.attributes[0], at) * z).store_slice(&mut out);
+                unit_range(simd, load(simd, &slot.others[0], at) * z).store_slice(&mut out);
                 for value in &mut out {
                     *value = self.toon(*value);
                 }
                 f32x8::simd_from(simd, out)
             }
             Kind::ThreeSteps => {
-                let first = channels.normal_at();
-                let nx = load(simd, &slot.attributes[first], at);
-                let ny = load(simd, &slot.attributes[first + 1], at);
-                let nz = load(simd, &slot.attributes[first + 2], at);
+                let nx = load(simd, &slot.near[1], at);
+                let ny = load(simd, &slot.near[2], at);
+                let nz = load(simd, &slot.near[3], at);
                 let [lx, ly, lz] = palette.scene.light.direction.to_array();
                 let length = (nx * nx + ny * ny + nz * nz).sqrt();
                 let towards = nx * lx + ny * ly + nz * lz;
@@ -227,18 +226,18 @@ impl Surface {
         let (mut red, mut green, mut blue) = (light, light, light);
         if self.colored {
             let first = channels.color_at();
-            red *= unit_range(simd, load(simd, &slot.attributes[first], at) * z);
-            green *= unit_range(simd, load(simd, &slot.attributes[first + 1], at) * z);
-            blue *= unit_range(simd, load(simd, &slot.attributes[first + 2], at) * z);
+            red *= unit_range(simd, load(simd, &slot.others[first], at) * z);
+            green *= unit_range(simd, load(simd, &slot.others[first + 1], at) * z);
+            blue *= unit_range(simd, load(simd, &slot.others[first + 2], at) * z);
         }
         if let Some(texture) = texture {
             let first = channels.uv_at();
             let (mut u, mut v) = ([0.0f32; RUN], [0.0f32; RUN]);
-            (load(simd, &slot.attributes[first], at) * z).store_slice(&mut u);
-            (load(simd, &slot.attributes[first + 1], at) * z).store_slice(&mut v);
+            (load(simd, &slot.others[first], at) * z).store_slice(&mut u);
+            (load(simd, &slot.others[first + 1], at) * z).store_slice(&mut v);
             let mut texels = [[1.0f32; RUN]; 3];
             for k in 0..RUN {
-                if slot.w[at + k] > palette.nothing {
+                if slot.w()[at + k] > palette.nothing {
                     let [r, g, b] = sample(texture, self.wrap, u[k], v[k]);
                     (texels[0][k], texels[1][k], texels[2][k]) = (r, g, b);
                 }

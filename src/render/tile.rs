@@ -41,20 +41,28 @@ pub(super) struct Channels {
 /// Attributes of a fragment at most: intensity, normal, texture coordinates, color.
 pub(super) const MOST: usize = 9;
 
+/// One value of a slot's pixels.
+pub(super) type Values = [f32; ROOM];
+
 impl Channels {
-    /// Where the normal is among the attributes.
-    pub fn normal_at(self) -> usize {
-        usize::from(self.light)
+    /// Where the second layer is among the other planes: 1/z, then the normal. Intensity is the first of them.
+    pub fn second_at(self) -> usize {
+        1
     }
 
     /// Where the texture coordinates are.
     pub fn uv_at(self) -> usize {
-        self.normal_at() + if self.normals { 3 } else { 0 }
+        self.second_at() + if self.second { 4 } else { 0 }
     }
 
     /// Where the vertex color is.
     pub fn color_at(self) -> usize {
         self.uv_at() + if self.uv { 2 } else { 0 }
+    }
+
+    /// Where 1/z of what hides is.
+    pub fn shield_at(self) -> usize {
+        self.color_at() + if self.colors { 3 } else { 0 }
     }
 
     /// Both.
@@ -71,9 +79,10 @@ impl Channels {
         }
     }
 
-    /// How many attributes there are.
-    pub fn count(self) -> usize {
-        self.color_at() + if self.colors { 3 } else { 0 }
+    /// How many attributes there are beside light.
+    pub fn others(self) -> usize {
+        let count = |wanted: bool, count| if wanted { count } else { 0 };
+        count(self.normals, 3) + count(self.uv, 2) + count(self.colors, 3)
     }
 }
 
@@ -83,18 +92,14 @@ impl Channels {
 pub(super) struct Slot {
     /// The columns of tiles with a covered pixel inside the picture, a bit each.
     pub covered: [u64; ROW_WORDS],
-    /// 1/z of the nearest surface, `nothing` where there is none.
-    pub w: Vec<f32>,
-    /// Its attributes over z, in the order of the frame's `Channels`; unspecified where there is no surface.
-    pub attributes: Vec<Vec<f32>>,
+    /// Of the nearest surface: 1/z, `nothing` where there is none, and its normal over z, unspecified where there is none.
+    pub near: Vec<Values>,
+    /// All else over z, as `Channels` says. Two pieces of memory: one address each leads to all of it, and compilers do
+    /// not see that the two are apart. Where they see that, they make masked stores of what is read, selected from and
+    /// written: slow where the next triangle reads it.
+    pub others: Vec<Values>,
     /// Its index among the frame's surfaces; unspecified where there is only one.
     pub surface: Vec<i32>,
-    /// 1/z of the second-nearest surface, `nothing` where there is none.
-    pub w2: Vec<f32>,
-    /// Its normal over z, not of unit length.
-    pub normal2: [Vec<f32>; 3],
-    /// 1/z of the nearest phantom.
-    pub shield: Vec<f32>,
     /// Where triangles are set up: of one and of its strips.
     pub setups: [Setup; 2],
 }
@@ -102,28 +107,24 @@ pub(super) struct Slot {
 impl Slot {
     /// Allocates what frames may keep.
     pub fn fit(&mut self, channels: Channels) {
-        let area = |wanted: bool| if wanted { ROOM } else { 0 };
-        self.w.resize(ROOM, 0.0);
-        self.attributes.resize_with(channels.count(), Vec::new);
-        for plane in &mut self.attributes {
-            plane.resize(ROOM, 0.0);
-        }
-        self.surface.resize(area(channels.surfaces), 0);
-        self.w2.resize(area(channels.second), 0.0);
-        for plane in &mut self.normal2 {
-            plane.resize(area(channels.second), 0.0);
-        }
-        self.shield.resize(area(channels.phantoms), 0.0);
+        self.near.resize(if channels.normals { 4 } else { 1 }, [0.0; ROOM]);
+        self.others.resize(channels.shield_at() + usize::from(channels.phantoms), [0.0; ROOM]);
+        self.surface.resize(if channels.surfaces { ROOM } else { 0 }, 0);
+    }
+
+    /// 1/z of the nearest surface.
+    pub fn w(&self) -> &Values {
+        &self.near[0]
     }
 
     /// No surface anywhere, of what this frame keeps.
     pub fn clear(&mut self, channels: Channels, nothing: f32) {
-        fill(&mut self.w, nothing);
+        fill(&mut self.near[0], nothing);
         if channels.second {
-            fill(&mut self.w2, nothing);
+            fill(&mut self.others[channels.second_at()], nothing);
         }
         if channels.phantoms {
-            fill(&mut self.shield, nothing);
+            fill(&mut self.others[channels.shield_at()], nothing);
         }
     }
 }
