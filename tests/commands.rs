@@ -188,6 +188,70 @@ card = "/dev/dri/no-such-card"
 }
 
 #[test]
+fn check_looks_into_scenes_snapshots_and_keys() {
+    let here = folder("scenes");
+    let write = |name: &str, text: &str| std::fs::write(here.join(name), text).expect("a file");
+    let visor = r#"scenes = ["day.toml", "night.toml", "noon.toml", "dusk.toml"]
+[camera]
+source = "synthetic"
+[display]
+sink = "null"
+[snapshot]
+dir = "day.toml/kept"
+[keys]
+device = "/dev/input/no-such-keys"
+codes = [30, 30]
+"#;
+    write("visor.toml", visor);
+    write("day.toml", "[[model]]\nfile = \"teapot\"\nmarker = { id = 7 }\n");
+    let night = "[camera]\n[style]\nname = \"sketchi\"\n\n[[model]]\nfile = \"vase.obj\"\nmarker = {}\n\n\
+                 [[model]]\nfile = \"spot\"\nmarker = { family = \"aruco_4x4_50\", id = 50 }\n";
+    write("night.toml", night);
+    write("dusk.toml", "[style]\nname = \"plain\"\n");
+    let output = run_in(&here, &["check", "visor.toml"]);
+    let (out, error) = told(&output);
+    assert_eq!(output.status.code(), Some(2), "{error}");
+    for (place, says) in [
+        ("visor.toml:1: ", "noon.toml: No such file"),
+        ("visor.toml:7: ", "snapshot.dir: day.toml is no folder; name a folder"),
+        ("visor.toml:10: ", "keys.codes has 30 twice"),
+        ("night.toml:1: ", "unknown field `camera`"),
+        ("night.toml:3: ", "did you mean `sketchy`"),
+        ("night.toml:5: ", "vase.obj"),
+        ("night.toml:9: ", "ids 0 to 49"),
+        ("dusk.toml: ", "no [[model]]"),
+    ] {
+        let told = out.lines().any(|line| line.starts_with(place) && line.contains(says));
+        assert!(told, "{place}{says}\nin\n{out}");
+    }
+    assert_eq!(out.lines().count(), 8, "{out}");
+
+    // the codes put right, the device is looked for; presses that would do nothing are told
+    let visor = "[camera]\nsource = \"synthetic\"\n[[model]]\nfile = \"teapot\"\nmarker = {}\n[display]\nsink = \"null\"\n\
+                 [keys]\ndevice = \"/dev/input/no-such-keys\"\ncodes = [30, 31]\n[[serial.button]]\nnumber = 1\n\
+                 short = \"snapshot\"\nlong = \"scene-next\"\n";
+    write("visor.toml", visor);
+    let out = told(&run_in(&here, &["check", "visor.toml"])).0;
+    for says in [
+        "visor.toml:8: keys.device: /dev/input/no-such-keys is no device; there is",
+        "visor.toml:11: button 1: snapshot does nothing without [snapshot]",
+        "visor.toml:11: button 1: scene-next does nothing: list two",
+    ] {
+        assert!(out.contains(says), "{says}\nin\n{out}");
+    }
+    assert_eq!(out.lines().count(), 3, "{out}");
+
+    // a folder that can be made, scenes that are sound
+    let visor = "scenes = [\"day.toml\", \"dawn.toml\"]\n[camera]\nsource = \"synthetic\"\n[display]\nsink = \"null\"\n\
+                 [snapshot]\ndir = \"a/b\"\n";
+    write("visor.toml", visor);
+    write("dawn.toml", "[[model]]\nfile = \"spot\"\nmarker = {}\n");
+    let output = run_in(&here, &["check", "visor.toml"]);
+    assert_eq!(output.status.code(), Some(0), "{:?}", told(&output));
+    assert!(!here.join("a").exists(), "check makes nothing");
+}
+
+#[test]
 fn check_is_content_with_what_runs() {
     let here = folder("sound");
     let text = "[camera]\nsource = \"synthetic\"\n[[model]]\nfile = \"teapot\"\nmarker = {}\n[display]\nsink = \"null\"\n";

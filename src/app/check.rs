@@ -5,17 +5,19 @@
 
 use super::config::{Config, ConfigError, find_key, nth_table};
 use super::say;
+use crate::buttons::Action;
 use crate::calibration::LensConfig;
 use crate::scene::Scene;
 use crate::{camera, display};
+use rustix::fs::Access;
 use std::os::unix::fs::FileTypeExt;
 use std::path::{Path, PathBuf};
 
 /// Lists everything that would keep a visor file from running, with the line and what to do.
 ///
-/// The file's words and values, the models, textures and calibration it names, markers and boards; and whether the
-/// camera, the screen and the serial port it names are there (nothing is opened). Exit code 0 where nothing is wrong,
-/// else 2.
+/// The file's words and values, the scene files, models, textures and calibration it names, markers and boards; and
+/// whether the camera, the screen, the serial port and the input device it names are there (nothing is opened), and
+/// whether you may write to the folder for snapshots. Exit code 0 where nothing is wrong, else 2.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:\n  vernissage check visor.toml\n  \
     vernissage check visor.toml --no-devices        a file for another machine")]
@@ -57,8 +59,10 @@ pub fn run(args: Args) -> anyhow::Result<()> {
         0 if args.json => Ok(()),
         0 => {
             let models = config.as_ref().map_or(0, |config| config.model.len());
+            let scenes = config.as_ref().map_or(0, |config| config.scenes.len());
+            let scenes = if scenes == 0 { String::new() } else { format!(", {scenes} scenes") };
             let style = config.map(|config| config.style.name).unwrap_or_default();
-            say(format_args!("{path}: nothing is wrong; {models} models, style {style}"))
+            say(format_args!("{path}: nothing is wrong; {models} models, style {style}{scenes}"))
         }
         1 => anyhow::bail!("{path}: 1 problem"),
         _ => anyhow::bail!("{path}: {count} problems"),
@@ -75,40 +79,89 @@ pub fn problems(path: &Path, devices: bool) -> (Vec<Problem>, Option<Config>) {
             return (vec![Problem { place: path.display().to_string(), what }], None);
         }
     };
-    let (rest, config) = parsed(&text, path, &mut found);
+    let (rest, config) = parsed(&text, path, |text| Config::parse(text, path), &mut found);
     if let Some(config) = &config {
-        let mut add = |line: Option<usize>, what: String| {
-            let place = match line {
-                Some(line) => format!("{}:{line}", path.display()),
-                None => path.display().to_string(),
-            };
-            let problem = Problem { place, what };
-            if !found.contains(&problem) {
-                found.push(problem);
-            }
-        };
         let folder = path.parent().unwrap_or(Path::new("."));
-        scene(config, &rest, folder, &mut add);
-        files(config, &rest, folder, &mut add);
+        let add = &mut adding(path, &mut found);
+        scene(config, &rest, folder, add);
+        if config.model.is_empty() && config.scenes.is_empty() {
+            add(None, NO_MODEL.into());
+        }
+        files(config, &rest, folder, add);
+        presses(config, &rest, add);
         if devices {
-            self::devices(config, &rest, &mut add);
+            self::devices(config, &rest, folder, add);
         }
     }
+    in_order(&mut found);
+    // scene after scene, behind the file that names them
+    for file in config.iter().flat_map(|config| &config.scenes) {
+        let named = path.parent().unwrap_or(Path::new(".")).join(file);
+        let mut own = Vec::new();
+        match std::fs::read_to_string(&named) {
+            Ok(text) => config.iter().for_each(|config| scene_file(config, &text, &named, &mut own)),
+            Err(error) => {
+                let what = format!("scenes: {}: {error}; give the paths of scene files", named.display());
+                adding(path, &mut own)(Some(find_key(&text, "scenes")), what);
+            }
+        }
+        in_order(&mut own);
+        found.append(&mut own);
+    }
+    (found, config)
+}
+
+const NO_MODEL: &str = "no [[model]]: nothing will stand on any marker; name one, such as file = \"teapot\"";
+
+/// Everything that is wrong with a scene file.
+fn scene_file(visor: &Config, text: &str, path: &Path, found: &mut Vec<Problem>) {
+    let (rest, both) = parsed(text, path, |text| visor.with_scene(text, path), found);
+    let Some((config, own_models)) = both else { return };
+    let add = &mut adding(path, found);
+    // what stands in the visor file has been told there
+    if own_models {
+        scene(&config, &rest, path.parent().unwrap_or(Path::new(".")), add);
+    }
+    if config.model.is_empty() {
+        add(None, NO_MODEL.into());
+    }
+}
+
+/// Adds to `found` what was not told before; the line is one of the file at `path`.
+fn adding<'a>(path: &'a Path, found: &'a mut Vec<Problem>) -> impl FnMut(Option<usize>, String) + 'a {
+    move |line, what| {
+        let place = match line {
+            Some(line) => format!("{}:{line}", path.display()),
+            None => path.display().to_string(),
+        };
+        let problem = Problem { place, what };
+        if !found.contains(&problem) {
+            found.push(problem);
+        }
+    }
+}
+
+/// By line; what has none comes last.
+fn in_order(found: &mut [Problem]) {
     found.sort_by_key(|problem| {
         let line = problem.place.rsplit(':').next().and_then(|line| line.parse::<usize>().ok());
         line.unwrap_or(usize::MAX)
     });
-    (found, config)
 }
 
-/// The settings without the statements that are wrong, and what was left of the text.
-fn parsed(text: &str, path: &Path, found: &mut Vec<Problem>) -> (String, Option<Config>) {
+/// What `parse` makes of the text without the statements that are wrong, and what was left of it.
+fn parsed<T>(
+    text: &str,
+    path: &Path,
+    parse: impl Fn(&str) -> Result<T, ConfigError>,
+    found: &mut Vec<Problem>,
+) -> (String, Option<T>) {
     let mut lines: Vec<String> = text.lines().map(str::to_string).collect();
     let mut removed: Vec<String> = Vec::new();
     let mut last = String::new();
     for _ in 0..MOST {
         let rest = lines.join("\n");
-        let error = match Config::parse(&rest, path) {
+        let error = match parse(&rest) {
             Ok(config) => return (rest, Some(config)),
             Err(error) => error,
         };
@@ -221,12 +274,38 @@ fn scene(config: &Config, text: &str, folder: &Path, add: &mut Add<'_>) {
             }
         }
     }
-    if config.model.is_empty() {
-        add(
-            None,
-            "no [[model]]: nothing will stand on any marker; name one, such as file = \"teapot\"".into(),
-        );
+}
+
+/// Presses that would do nothing.
+fn presses(config: &Config, text: &str, add: &mut Add<'_>) {
+    for (k, button) in config.serial.button.iter().enumerate() {
+        let mut lacks = |action, what: &str| {
+            if [button.short, button.long, button.double].contains(&Some(action)) {
+                let line = nth_table(text, "[[serial.button]]", k + 1);
+                add(Some(line), format!("button {}: {} {what}", button.number, action.name()));
+            }
+        };
+        if config.snapshot.is_none() {
+            lacks(
+                Action::Snapshot,
+                "does nothing without [snapshot]: name its folder, such as dir = \"kept\"",
+            );
+        }
+        if config.scenes.len() < 2 {
+            lacks(Action::SceneNext, "does nothing: list two or more files in `scenes`");
+        }
     }
+}
+
+/// Whether pictures could be written to a folder, which need not be there; else what is in the way.
+fn can_keep(folder: &Path) -> Result<(), String> {
+    let there = folder.ancestors().find(|part| part.exists() || part.as_os_str().is_empty());
+    let there = there.filter(|part| !part.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    if !there.is_dir() {
+        return Err(format!("{} is no folder", there.display()));
+    }
+    let right = Access::WRITE_OK | Access::EXEC_OK;
+    rustix::fs::access(there, right).map_err(|error| format!("{}: {error}", there.display()))
 }
 
 /// Files to be read and written.
@@ -261,8 +340,8 @@ fn files(config: &Config, text: &str, folder: &Path, add: &mut Add<'_>) {
     }
 }
 
-/// The devices that are named.
-fn devices(config: &Config, text: &str, add: &mut Add<'_>) {
+/// What is named and is this machine's: devices, the folder for snapshots.
+fn devices(config: &Config, text: &str, home: &Path, add: &mut Add<'_>) {
     let line = |key: &str| {
         let at = find_key(text, key);
         // 1 also means that the key is not there
@@ -307,6 +386,17 @@ fn devices(config: &Config, text: &str, add: &mut Add<'_>) {
         let ports: Vec<String> =
             ["ttyACM", "ttyUSB", "ttyAMA"].into_iter().flat_map(|name| nodes("/dev", name)).collect();
         add(line("port"), format!("serial.port: {} is no device; {}", port.display(), there(&ports)));
+    }
+    if let Some(keys) = &config.keys
+        && !is_node(&keys.device)
+    {
+        let (device, all) = (keys.device.display(), nodes("/dev/input", "event"));
+        add(line("keys"), format!("keys.device: {device} is no device; {}", there(&all)));
+    }
+    if let Some(snapshot) = &config.snapshot
+        && let Err(reason) = can_keep(&home.join(&snapshot.dir))
+    {
+        add(line("dir"), format!("snapshot.dir: {reason}; name a folder that the visor may write to"));
     }
 }
 

@@ -110,6 +110,22 @@ impl Config {
         Ok(config)
     }
 
+    /// These settings with the tables of a scene file in place of their own, and whether what stands on the markers
+    /// is among them; `path` is for messages.
+    pub(super) fn with_scene(&self, text: &str, path: &Path) -> Result<(Config, bool), ConfigError> {
+        let file: SceneFile = read_toml(text, path)?;
+        let own_models = file.model.is_some() || file.board.is_some() || file.light.is_some();
+        let mut config = self.clone();
+        config.model = file.model.unwrap_or(config.model);
+        config.board = file.board.unwrap_or(config.board);
+        config.light = file.light.unwrap_or(config.light);
+        config.retouch = file.retouch.unwrap_or(config.retouch);
+        config.style = file.style.unwrap_or(config.style);
+        config.track = file.track.unwrap_or(config.track);
+        config.check(text, path)?;
+        Ok((config, own_models))
+    }
+
     /// Whether everything is within its range.
     fn check(&self, text: &str, path: &Path) -> Result<(), ConfigError> {
         let config = self;
@@ -203,16 +219,7 @@ impl Loaded {
     fn scene(&self, path: &Path) -> Result<Loaded, ConfigError> {
         let read = |source| ConfigError::Read { path: path.into(), source };
         let text = std::fs::read_to_string(path).map_err(read)?;
-        let file: SceneFile = read_toml(&text, path)?;
-        let own_models = file.model.is_some() || file.board.is_some() || file.light.is_some();
-        let mut config = self.config.clone();
-        config.model = file.model.unwrap_or(config.model);
-        config.board = file.board.unwrap_or(config.board);
-        config.light = file.light.unwrap_or(config.light);
-        config.retouch = file.retouch.unwrap_or(config.retouch);
-        config.style = file.style.unwrap_or(config.style);
-        config.track = file.track.unwrap_or(config.track);
-        config.check(&text, path)?;
+        let (config, own_models) = self.config.with_scene(&text, path)?;
         if own_models {
             return Loaded::build(config, &text, path);
         }
