@@ -44,8 +44,8 @@ echo 'r:shown drm:drm_mode_page_flip_ioctl refused=$retval:s32' > $trace/kprobe_
 echo 1 > $trace/events/kprobes/enable
 mark() { echo "mark $*" > $trace/trace_marker; }
 cable() { echo $1 > /sys/class/drm/card0-Virtual-1/status; }
-# open files, and the memory that is the program's own: of its file, pages come in whenever code runs first
-facts() { echo BOARD: $1 $(ls /proc/$pid/fd | wc -l) $(awk '/RssAnon|RssShmem/{n += $2} END{print n}' /proc/$pid/status); }
+# open files, and the private memory asked for: what is resident also grows whenever a page is touched first
+facts() { echo BOARD: $1 $(ls /proc/$pid/fd | wc -l) $(awk '/VmData/{print $2}' /proc/$pid/status); }
 # waits until the other machine has looked at the screen
 looked() { echo BOARD: look-$1; until [ -e /host/done-$1 ]; do sleep .2; done; }
 
@@ -98,8 +98,8 @@ short = "freeze"
 
 USB_SCRIPT = r"""
 for module in $(cat /mods/usb); do insmod /mods/$module; done
-# open files, and the memory that is the program's own: of its file, pages come in whenever code runs first
-facts() { echo BOARD: $1 $(ls /proc/$pid/fd | wc -l) $(awk '/RssAnon|RssShmem/{n += $2} END{print n}' /proc/$pid/status); }
+# open files, and the private memory asked for: what is resident also grows whenever a page is touched first
+facts() { echo BOARD: $1 $(ls /proc/$pid/fd | wc -l) $(awk '/VmData/{print $2}' /proc/$pid/status); }
 vernissage run --config /host/plugs.toml > /tmp/plugs.out 2> /tmp/plugs.err &
 pid=$!
 echo BOARD: run
@@ -128,7 +128,7 @@ def flat(board):
     half = len(facts) // 2
     files, memory = (([each[i] for each in facts[:half]], [each[i] for each in facts[half:]]) for i in (0, 1))
     check(max(files[1]) <= max(files[0]) and max(memory[1]) <= max(memory[0]) + 512,
-          f"plugs: at most {max(files[1])} open files and {max(memory[1])} KiB of its own in the second half,"
+          f"plugs: at most {max(files[1])} open files and {max(memory[1])} KiB of private memory in the second half,"
           f" {max(files[0])} and {max(memory[0])} in the first")
 
 

@@ -56,7 +56,7 @@ echo 1 > $trace/tracing_on
 mark() { echo "mark $*" > $trace/trace_marker; }
 press() { ctl /dev/video0 "$1" 1 || echo "BOARD: refused $1"; }
 facts() {
-  set -- $1 $(ls /proc/$pid/fd | wc -l) $(awk '/RssAnon|RssShmem/{n += $2} END{print n}' /proc/$pid/status) \
+  set -- $1 $(ls /proc/$pid/fd | wc -l) $(awk '/VmData/{print $2}' /proc/$pid/status) \
     $(awk '{print $14+$15}' /proc/$pid/stat) $(cut -d' ' -f1 /proc/uptime)
   echo BOARD: $*
 }
@@ -211,12 +211,12 @@ def judge_costs(board):
              for word in ("before", "lost", "waits", "after")}
     (before,), (after,) = facts["before"], facts["after"]
     check(after[0] == before[0], f"recover: {after[0]:.0f} open files, before {before[0]:.0f}")
-    check(after[1] <= before[1] + 1024, f"recover: {after[1]:.0f} KiB of its own, before {before[1]:.0f}")
+    check(after[1] <= before[1] + 1024, f"recover: {after[1]:.0f} KiB of private memory, before {before[1]:.0f}")
     halves = [facts["lost"][:len(facts["lost"]) // 2], facts["lost"][len(facts["lost"]) // 2:]]
     # of a few absences the first ones warm up
     if len(facts["lost"]) >= 20:
         early, late = (max(each[1] for each in half) for half in halves)
-        check(late <= early + 256, f"recover: {late:.0f} KiB of its own in the second half of the absences, {early:.0f} in the first")
+        check(late <= early + 256, f"recover: {late:.0f} KiB of private memory in the second half of the absences, {early:.0f} in the first")
     ticks = sum(b[2] - a[2] for a, b in zip(facts["lost"], facts["waits"]))
     time = sum(b[3] - a[3] for a, b in zip(facts["lost"], facts["waits"]))
     check(time > 0 and ticks / 100 / time < BUSY,
