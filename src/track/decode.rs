@@ -3,12 +3,14 @@
 //! Black and white are planes over the marker, fitted to the border's ring and to the quiet zone's, so that a
 //! lighting ramp moves the threshold along (AprilTag, Wang & Olson 2016). A quad without a dark ring in a
 //! lighter one is dropped before a bit is read. If the plain reading matches no code, the bits are read
-//! again sharpened against their neighbors (small, blurred markers), then with the quad shifted a little.
+//! again sharpened against their neighbors, then restored from the blur (small markers), then with the quad shifted
+//! a little.
 //!
 //! A short code alone is no marker: the print of the bits, blurred as the picture is, must explain the gray values all
 //! over the code, not only at its cells' centers. How well it must, and how whole the rings, depends on how
 //! often random bits are read as one of the family's codes ([`Family::chance`]).
 
+use super::align::Aligned;
 use super::quad::Quad;
 use super::rectify;
 pub use super::ring::Level;
@@ -64,11 +66,23 @@ pub struct Decoded {
     pub margin: f64,
     /// The quad in the family's order, TL TR BR BL.
     pub quad: Quad,
+    /// Whether the print must explain the picture all over: the bits or the outline were restored.
+    pub doubtful: bool,
     /// Gray of what is black in the official picture (the lighter one of an inverted print).
     pub black: Level,
     /// Gray of what is white in the official picture.
     pub white: Level,
 }
+
+impl Decoded {
+    /// Whether its alignment confirms a doubtful reading.
+    pub fn stands(&self, aligned: Option<&Aligned>) -> bool {
+        !self.doubtful || aligned.is_some_and(|aligned| aligned.share >= LEAST_SHARE)
+    }
+}
+
+/// Least share of the pixels that the print of a doubtful reading explains.
+const LEAST_SHARE: f64 = 0.75;
 
 /// What a reading must show besides a code.
 struct Evidence {
@@ -219,6 +233,7 @@ fn found(
         reading,
         margin: clarity * 0.5 * ring.contrast(),
         quad: [0, 1, 2, 3].map(|i| quad[(i + reading.rotation) % 4]),
+        doubtful: false,
         black: level(ring.black),
         white: level(ring.white),
     }
@@ -266,8 +281,73 @@ fn attempt(view: &View<'_>, quad: &Quad, family: Family, polarity: Polarity) -> 
             }
         }
     }
+    if cell_px > BLURRED_PX {
+        return Some(None);
+    }
+    for share in SHARES {
+        let bits = restored(&soft, family.inner(), share);
+        if std::mem::replace(&mut before, Some(bits)) == Some(bits) {
+            continue;
+        }
+        let reading = family.read(bits).filter(|reading| family.chance(reading.hamming) < SURE_CHANCE);
+        if let Some(reading) = reading {
+            let found = found(family, reading, quad, &ring, least.clarity, polarity);
+            return Some(Some(Decoded { doubtful: true, ..found }));
+        }
+    }
     Some(None)
 }
+
+/// Below this chance, random bits are no code of a family.
+const SURE_CHANCE: f64 = 1e-5;
+
+/// In cells of less than this blur mixes neighbors, px.
+const BLURRED_PX: f64 = 4.5;
+
+/// Shares of a cell's neighbors on either side in what is seen at its center: a normal blur of .5, .65 and .8 of its width.
+const SHARES: [f64; 3] = [0.15, 0.2, 0.25];
+
+/// The bits whose blurred print is what is seen: `share` of either neighbor, along rows and along columns. Landweber's
+/// iteration within the inks' range.
+fn restored(soft: &[[f64; MOST_BITS]; MOST_BITS], inner: usize, share: f64) -> u64 {
+    // the rings are blurred too: of black and white ink they show this much
+    let (middle, half) = (0.5 * share, 1.0 - 2.5 * share);
+    // with the border around
+    const SIDE: usize = MOST_BITS + 2;
+    let mut ink = [[-1.0f64; SIDE]; SIDE];
+    let seen = |row: usize, column: usize| (middle + half * soft[row][column]).clamp(-1.0, 1.0);
+    for row in 0..inner {
+        for column in 0..inner {
+            ink[row + 1][column + 1] = seen(row, column);
+        }
+    }
+    for _ in 0..ROUNDS {
+        let mut across = [[0.0; SIDE]; SIDE];
+        for (out, ink) in across.iter_mut().zip(&ink) {
+            for column in 1..=inner {
+                out[column] = (1.0 - 2.0 * share) * ink[column] + share * (ink[column - 1] + ink[column + 1]);
+            }
+        }
+        for row in 1..=inner {
+            for column in 1..=inner {
+                let blurred = (1.0 - 2.0 * share) * across[row][column]
+                    + share * (across[row - 1][column] + across[row + 1][column]);
+                let miss = seen(row - 1, column - 1) - blurred;
+                ink[row][column] = (ink[row][column] + 1.5 * miss).clamp(-1.0, 1.0);
+            }
+        }
+    }
+    let mut bits = 0;
+    for line in &ink[1..=inner] {
+        for v in &line[1..=inner] {
+            bits = (bits << 1) | u64::from(*v > 0.0);
+        }
+    }
+    bits
+}
+
+/// Rounds of the restoration.
+const ROUNDS: usize = 12;
 
 /// Cells narrower than this are read at their centers alone.
 const LEAST_CELL_PX: f64 = 3.0;
@@ -441,6 +521,43 @@ mod tests {
             );
         }
         assert!(read < 10, "{read} ghosts in 100000");
+    }
+
+    /// Every code, blurred as the restoration has it, is restored, though most are not what its cells show.
+    #[test]
+    fn what_is_restored_is_what_was_blurred() {
+        let family = Family::Tag36h11;
+        let inner = family.inner();
+        for share in SHARES {
+            let (mut plain, mut right) = (0, 0);
+            for &code in family.codes() {
+                let bit = |row: isize, column: isize| {
+                    let inside = (0..inner as isize).contains(&row) && (0..inner as isize).contains(&column);
+                    let at =
+                        inner * inner - 1 - (row * inner as isize + column).max(0) as usize % (inner * inner);
+                    if inside && code >> at & 1 == 1 { 1.0 } else { -1.0 }
+                };
+                let across = |row, column| {
+                    (1.0 - 2.0 * share) * bit(row, column)
+                        + share * (bit(row, column - 1) + bit(row, column + 1))
+                };
+                let mut soft = [[0.0; MOST_BITS]; MOST_BITS];
+                for (row, line) in (0..).zip(&mut soft[..inner]) {
+                    for (column, value) in (0..).zip(&mut line[..inner]) {
+                        let seen = (1.0 - 2.0 * share) * across(row, column)
+                            + share * (across(row - 1, column) + across(row + 1, column));
+                        // from inks to what the blurred rings call black and white
+                        *value = (seen - 0.5 * share) / (1.0 - 2.5 * share);
+                    }
+                }
+                plain += usize::from(harden(&soft, inner, 0.0).0 == code);
+                right += usize::from(restored(&soft, inner, share) == code);
+            }
+            let all = family.codes().len();
+            // where three quarters of the light are the neighbors' the rounds there are do not end with every code
+            let least = if share < 0.25 { all } else { all * 4 / 5 };
+            assert!(right >= least && plain < all / 2, "{share}: {plain} plain, {right} restored of {all}");
+        }
     }
 
     /// The upright print is read upright, a turned one turned, at every number of pixels a cell.

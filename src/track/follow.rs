@@ -210,6 +210,9 @@ impl Follow {
         let Some(aligned) = scene.align(&pattern, found.quad, [found.black, found.white], None) else {
             return;
         };
+        if !found.stands(Some(&aligned)) {
+            return;
+        }
         match held {
             Some((i, _)) => {
                 self.tracks[i].found_again(scene, &aligned);

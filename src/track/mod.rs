@@ -36,7 +36,7 @@ use glam::DVec2;
 use quad::Quad;
 use rayon::prelude::*;
 use rectify::Rectify;
-use search::{Limits, Search};
+use search::{Found, Limits, Search};
 use serde::{Deserialize, Serialize};
 
 /// Largest picture side the tracker works on, px (contours count half pixels in 16 bits). Larger pictures
@@ -52,6 +52,9 @@ const LEAST_PART_PX: usize = 16;
 /// Squared deviations (two degrees of freedom) by which four corners may miss those of a rigid square by chance and
 /// by a little bend or blur that is not modeled; lenses that are not known miss by more.
 const RIGID: f64 = 50.0;
+
+/// Difference of squared deviations below which the picture leaves the pose open: odds of 20 to 1.
+const OPEN: f64 = 6.0;
 
 /// Settings of the tracker.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -124,6 +127,7 @@ pub struct Wanted {
 #[derive(Clone, Copy, Debug)]
 struct Candidate {
     quad: Quad,
+    hull: bool,
     polarity: Polarity,
     found: Option<Decoded>,
 }
@@ -145,6 +149,7 @@ pub struct Tracker {
     candidates: Vec<Candidate>,
     decoded: Vec<Decoded>,
     known: Vec<[DVec2; 2]>,
+    looks: Vec<Option<Sighting>>,
     sightings: Vec<Sighting>,
     follow: Follow,
 }
@@ -167,6 +172,7 @@ impl Tracker {
             candidates: Vec::new(),
             decoded: Vec::new(),
             known: Vec::new(),
+            looks: Vec::new(),
             sightings: Vec::new(),
             follow: Follow::default(),
         }
@@ -199,11 +205,11 @@ impl Tracker {
         keep_best(&mut self.decoded);
         let view = View::new(luma, lens);
         let (rectify, align, level) = (&self.rectify, self.config.align, self.level);
-        self.sightings.par_extend(
-            self.decoded
-                .par_iter()
-                .map(|decoded| sight(&view, decoded, wanted, align.then_some((rectify, level)))),
-        );
+        let align = align.then_some((rectify, level));
+        let looks = self.decoded.par_iter().map(|decoded| sight(&view, decoded, wanted, align));
+        // as many as there are readings, so that nothing is allocated
+        looks.collect_into_vec(&mut self.looks);
+        self.sightings.extend(self.looks.iter().copied().flatten());
         self.boards.iter().for_each(|board| board::settle(board, lens, &mut self.sightings));
         &self.sightings
     }
@@ -291,12 +297,18 @@ impl Tracker {
                 Polarity::WhiteOnBlack => continue,
             };
             let quads = search.quads(shown, &self.rectify, limits, &self.known, level);
-            self.candidates.extend(quads.iter().map(|&quad| Candidate { quad, polarity, found: None }));
+            self.candidates.extend(quads.iter().map(|&Found { quad, hull }| Candidate {
+                quad,
+                hull,
+                polarity,
+                found: None,
+            }));
         }
         let (view, patterns) = (View::new(luma, lens), &self.patterns);
         self.candidates.par_iter_mut().with_min_len(4).for_each(|candidate| {
-            let Candidate { quad, polarity, .. } = *candidate;
-            candidate.found = read(&view, &quad, polarity, step, wanted, patterns);
+            let Candidate { quad, hull, polarity, .. } = *candidate;
+            let found = read(&view, &quad, polarity, step, wanted, patterns);
+            candidate.found = found.map(|found| Decoded { doubtful: found.doubtful || hull, ..found });
         });
         self.decoded.extend(self.candidates.iter().filter_map(|c| c.found));
         let weak = wanted.iter().any(|w| is_weak(w.family));
@@ -360,8 +372,13 @@ pub fn wish(wanted: &[Wanted], family: Family, id: u32) -> Option<&Wanted> {
     of(Some(id)).or_else(|| of(None))
 }
 
-/// Sharpens the corners and solves the poses.
-fn sight(view: &View<'_>, found: &Decoded, wanted: &[Wanted], align: Option<(&Rectify, Level)>) -> Sighting {
+/// Sharpens the corners and solves the poses. `None` where a doubtful reading does not stand that test.
+fn sight(
+    view: &View<'_>,
+    found: &Decoded,
+    wanted: &[Wanted],
+    align: Option<(&Rectify, Level)>,
+) -> Option<Sighting> {
     let aligned = align.and_then(|(rectify, level)| {
         let start = align::Start {
             pattern: &align::Pattern::new(found.family, found.reading.id)?,
@@ -373,6 +390,9 @@ fn sight(view: &View<'_>, found: &Decoded, wanted: &[Wanted], align: Option<(&Re
         };
         align::align(view, &start, rectify, level)
     });
+    if align.is_some() && !found.stands(aligned.as_ref()) {
+        return None;
+    }
     let mut quad = aligned.map_or(found.quad, |aligned| aligned.quad);
     let wanted = wish(wanted, found.family, found.reading.id);
     let side_mm = wanted.map(|w| w.side_mm).filter(|side| side.is_finite() && *side > 0.0);
@@ -381,7 +401,9 @@ fn sight(view: &View<'_>, found: &Decoded, wanted: &[Wanted], align: Option<(&Re
         (Some(side_mm), Some(aligned)) => {
             let ideal = Lens { distortion: [0.0; 8], ..*view.lens };
             let minima = solve::minima(&quad, &aligned.information, side_mm, &ideal);
-            [pose, pose_alt] = minima.map(|m| m.map(|m| Solved { pose: m.pose, error_px: m.error_px }));
+            if !(found.doubtful && is_open(&minima)) {
+                [pose, pose_alt] = minima.map(|m| m.map(|m| Solved { pose: m.pose, error_px: m.error_px }));
+            }
             // where the picture agrees that the print is a rigid square, its corners are that square's
             if let Some(best) = minima[0].filter(|best| best.cost < RIGID)
                 && let Some(corners) = best.corners(side_mm, &ideal)
@@ -396,7 +418,7 @@ fn sight(view: &View<'_>, found: &Decoded, wanted: &[Wanted], align: Option<(&Re
         (None, _) => {}
     }
     let corners = quad.map(|p| rectify::seen(view.lens, p));
-    Sighting {
+    Some(Sighting {
         family: found.family,
         id: found.reading.id,
         corners,
@@ -405,14 +427,19 @@ fn sight(view: &View<'_>, found: &Decoded, wanted: &[Wanted], align: Option<(&Re
         pose,
         pose_alt,
         state: State::Found,
-    }
+    })
 }
 
-/// Orders by family and id; of overlapping readings of one marker the best stays: fewer corrected bits, then the
-/// clearer one.
+/// Whether the picture hardly decides which of the two poses it is.
+fn is_open(minima: &[Option<solve::Minimum>; 2]) -> bool {
+    matches!(minima, [Some(best), Some(other)] if other.cost - best.cost < OPEN)
+}
+
+/// Orders by family and id; of overlapping readings of one marker the best stays: one beyond doubt, fewer corrected
+/// bits, then the clearer one.
 fn keep_best(found: &mut Vec<Decoded>) {
     let center = |d: &Decoded| (d.quad[0] + d.quad[1] + d.quad[2] + d.quad[3]) * 0.25;
-    let key = |d: &Decoded| (d.family, d.reading.id, d.reading.hamming);
+    let key = |d: &Decoded| (d.family, d.reading.id, d.doubtful, d.reading.hamming);
     found.sort_unstable_by(|a, b| {
         let place = |d: &Decoded| (center(d).y, center(d).x);
         let by_place = |a: (f64, f64), b: (f64, f64)| a.0.total_cmp(&b.0).then(a.1.total_cmp(&b.1));

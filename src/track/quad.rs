@@ -5,7 +5,7 @@
 //! points between corners (total least squares), intersected, and the points shared out again. What is not a
 //! quadrilateral leaves large residuals or the wrong area and is dropped.
 
-use super::contour::Crack;
+use super::contour::{Crack, MOST_OPEN_PX};
 use super::rectify::Rectify;
 use glam::DVec2;
 use std::cell::RefCell;
@@ -19,41 +19,149 @@ const MOST_POINTS: usize = 256;
 /// Least length of a side, px.
 pub const LEAST_SIDE_PX: f64 = 5.0;
 
-/// The quadrilateral whose outline the contour is; `None` when it is none. `area`: enclosed px²; `step`: pixels
-/// of the whole picture along one of the contour's; `origin`: where the contour's picture begins in it.
-pub fn fit(contour: &[Crack], area: i64, step: u32, origin: DVec2, rectify: &Rectify) -> Option<Quad> {
-    POINTS.with_borrow_mut(|points| fit_with(points, contour, area, step, origin, rectify))
+/// Why a contour is no quadrilateral's outline.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Refusal {
+    /// Its shape.
+    Shape,
+    /// Sides are there, but with dents or bumps.
+    Bumpy,
 }
+
+/// The quadrilateral whose outline the contour is. `area`: enclosed px²; `step`: pixels of the whole picture along one
+/// of the contour's; `origin`: where the contour's picture begins in it.
+pub fn fit(
+    contour: &[Crack],
+    area: i64,
+    step: u32,
+    origin: DVec2,
+    rectify: &Rectify,
+) -> Result<Quad, Refusal> {
+    if contour.len() < 16 {
+        return Err(Refusal::Shape);
+    }
+    POINTS.with_borrow_mut(|points| {
+        // lines do not get better from more points than this, and what is accepted is aligned to the pixels later
+        let every = contour.len().div_ceil(MOST_POINTS);
+        let ideal = seen(step, origin, rectify);
+        let mut count = 0;
+        for (point, &[x, y]) in points.iter_mut().zip(contour.iter().step_by(every)) {
+            *point = ideal(DVec2::new(f64::from(x), f64::from(y)));
+            count += 1;
+        }
+        let (points, step) = (&points[..count], f64::from(step));
+        // a strong lens shows things in its corners half as large as they are
+        let area = if rectify.bends() { enclosed(points) } else { area as f64 * step * step };
+        let mut refusal = Refusal::Shape;
+        fit_points(points, area, step, every, &mut refusal).ok_or(refusal)
+    })
+}
+
+/// From half pixels of the contour's picture to ideal pixels of the whole one.
+fn seen(step: u32, origin: DVec2, rectify: &Rectify) -> impl Fn(DVec2) -> DVec2 {
+    let step = f64::from(step);
+    let shift = origin + 0.5 * (step - 1.0);
+    move |crack| rectify.ideal(crack * (0.5 * step) + shift)
+}
+
+/// The quadrilateral around a small contour that is open or has dents, by its convex hull: where blur lightens the
+/// border beside white bits it has both. Arguments as those of `fit`.
+pub fn fit_hull(contour: &[Crack], step: u32, origin: DVec2, rectify: &Rectify) -> Option<Quad> {
+    let mut hull = [[0i16; 2]; HULL_POINTS];
+    let count = hull_of(contour, &mut hull)?;
+    let hull = &hull[..count];
+    if !is_four_sided(hull) {
+        return None;
+    }
+    POINTS.with_borrow_mut(|points| {
+        let ideal = seen(step, origin, rectify);
+        let at = |[x, y]: [i16; 2]| DVec2::new(f64::from(x), f64::from(y));
+        let mut count = 0;
+        let mut from = at(*hull.last()?);
+        for to in hull.iter().map(|&corner| at(corner)) {
+            // a point a pixel of the contour's picture, about
+            let steps = ((to - from).length() * 0.5).ceil();
+            for k in 1..=steps as usize {
+                *points.get_mut(count)? = ideal(from + (to - from) * (k as f64 / steps));
+                count += 1;
+            }
+            from = to;
+        }
+        let points = points.get(..count).filter(|_| count >= 16)?;
+        fit_points(points, enclosed(points), f64::from(step), 1, &mut Refusal::Shape)
+    })
+}
+
+/// The corners of a contour's convex hull, clockwise as seen, and how many; `None` of a contour that is too high.
+fn hull_of(contour: &[Crack], hull: &mut [Crack; HULL_POINTS]) -> Option<usize> {
+    let low = contour.iter().map(|[_, y]| *y).min()?;
+    let mut sides = [[i16::MAX, i16::MIN]; HULL_ROWS];
+    for &[x, y] in contour {
+        let side = sides.get_mut((y - low) as usize)?;
+        *side = [side[0].min(x), side[1].max(x)];
+    }
+    let mut count = 0;
+    // down the right side and up the left one; a corner goes where the outline would turn left
+    let mut add = |first: usize, p: Crack| {
+        while count >= first + 2 {
+            let [a, b, p] = [hull[count - 2], hull[count - 1], p].map(|v| v.map(i32::from));
+            if (b[0] - a[0]) * (p[1] - a[1]) - (b[1] - a[1]) * (p[0] - a[0]) > 0 {
+                break;
+            }
+            count -= 1;
+        }
+        hull[count] = p;
+        count += 1;
+        count
+    };
+    let rows = || sides.iter().enumerate().filter(|(_, side)| side[0] <= side[1]);
+    let mut half = 0;
+    for (row, side) in rows() {
+        half = add(0, [side[1], low + row as i16]);
+    }
+    for (row, side) in rows().rev() {
+        add(half, [side[0], low + row as i16]);
+    }
+    Some(count)
+}
+
+/// Whether four of the hull's corners make up nearly all of it.
+fn is_four_sided(hull: &[Crack]) -> bool {
+    let at = |i: usize| hull[i].map(i32::from);
+    let twice =
+        |a: [i32; 2], b: [i32; 2], c: [i32; 2]| (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]);
+    let whole: i32 = (1..hull.len().saturating_sub(1)).map(|i| twice(at(0), at(i), at(i + 1))).sum();
+    let far = |from: [i32; 2]| {
+        (0..hull.len()).max_by_key(|&i| {
+            let [x, y] = [at(i)[0] - from[0], at(i)[1] - from[1]];
+            x * x + y * y
+        })
+    };
+    let Some((a, b)) = far(at(0)).and_then(|a| Some((a, far(at(a))?))) else { return false };
+    let (a, b) = (a.min(b), a.max(b));
+    let most = |range: &mut dyn Iterator<Item = usize>| range.map(|i| twice(at(a), at(i), at(b)).abs()).max();
+    let one = most(&mut (a..b)).unwrap_or(0);
+    let other = most(&mut (b..hull.len()).chain(0..a)).unwrap_or(0);
+    f64::from(one + other) >= FOUR_SIDED * f64::from(whole)
+}
+
+/// Least share of a hull that is its four corners' quadrilateral.
+const FOUR_SIDED: f64 = 0.83;
+
+/// Corners that a hull may have.
+const HULL_POINTS: usize = 2 * HULL_ROWS;
+
+/// Rows of half pixels that a hull may have.
+const HULL_ROWS: usize = 2 * MOST_OPEN_PX as usize + 4;
 
 thread_local! {
     /// Each thread's own: laying them out anew would cost more than most fits do.
     static POINTS: RefCell<[DVec2; MOST_POINTS]> = const { RefCell::new([DVec2::ZERO; MOST_POINTS]) };
 }
 
-fn fit_with(
-    points: &mut [DVec2; MOST_POINTS],
-    contour: &[Crack],
-    area: i64,
-    step: u32,
-    origin: DVec2,
-    rectify: &Rectify,
-) -> Option<Quad> {
-    let step = f64::from(step);
-    let shift = origin + 0.5 * (step - 1.0);
-    let area = area as f64 * step * step;
-    if contour.len() < 16 {
-        return None;
-    }
-    // lines do not get better from more points than this, and what is accepted is aligned to the pixels later
-    let every = contour.len().div_ceil(MOST_POINTS);
-    let mut count = 0;
-    for (point, &[x, y]) in points.iter_mut().zip(contour.iter().step_by(every)) {
-        *point = rectify.ideal(DVec2::new(f64::from(x), f64::from(y)) * (0.5 * step) + shift);
-        count += 1;
-    }
-    let points = &points[..count];
-    // a strong lens shows things in its corners half as large as they are
-    let area = if rectify.bends() { enclosed(points) } else { area };
+/// `refusal` is left at `Bumpy` where there were sides.
+fn fit_points(points: &[DVec2], area: f64, step: f64, every: usize, refusal: &mut Refusal) -> Option<Quad> {
+    let count = points.len();
     // indices run at most once around; a division here would cost more than everything else
     let at = |i: usize| points[if i < count { i } else { i - count }];
     let farthest_from = |p: DVec2| farthest(0..count, |i| (at(i) - p).length_squared());
@@ -85,6 +193,7 @@ fn fit_with(
         return None;
     }
 
+    *refusal = Refusal::Bumpy;
     let mut quad = [DVec2::ZERO; 4];
     for pass in 0..2 {
         let mut lines = [Line::default(); 4];
@@ -241,5 +350,61 @@ impl Line {
         let x = self.offset * other.normal.y - other.offset * self.normal.y;
         let y = other.offset * self.normal.x - self.offset * other.normal.x;
         Some(DVec2::new(x, y) / det)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::Lens;
+    use crate::pixels::Size;
+
+    /// A turned square whose outline leads inside through a gap: no outline of a square, but its hull is one.
+    #[test]
+    fn the_hull_of_an_open_outline_is_its_square() {
+        let lens = Lens::guess(Size::new(160, 120));
+        let mut rectify = Rectify::default();
+        rectify.prepare(&lens, lens.size);
+        let (center, right) = (DVec2::new(60.0, 50.0), DVec2::new(0.96, 0.28));
+        let at = |x: f64, y: f64| center + right * x + right.perp() * y;
+        // clockwise as seen; in through the right side, around inside, out again
+        let path = [
+            (-15.0, -15.0),
+            (15.0, -15.0),
+            (15.0, -2.0),
+            (9.0, -2.0),
+            (9.0, -9.0),
+            (-9.0, -9.0),
+            (-9.0, 9.0),
+            (9.0, 9.0),
+            (9.0, 2.0),
+            (15.0, 2.0),
+            (15.0, 15.0),
+            (-15.0, 15.0),
+            (-15.0, -15.0),
+        ];
+        let mut contour = Vec::new();
+        for pair in path.windows(2) {
+            let (from, to) = (at(pair[0].0, pair[0].1), at(pair[1].0, pair[1].1));
+            let steps = (to - from).length().ceil();
+            for k in 0..steps as usize {
+                let p = from + (to - from) * (k as f64 / steps);
+                contour.push([(2.0 * p.x).round() as i16, (2.0 * p.y).round() as i16]);
+            }
+        }
+        let area = 30 * 30 - 18 * 18 - 6 * 4;
+        assert!(fit(&contour, area, 1, DVec2::ZERO, &rectify).is_err());
+        let quad = fit_hull(&contour, 1, DVec2::ZERO, &rectify).expect("a square");
+        for corner in [at(-15.0, -15.0), at(15.0, -15.0), at(15.0, 15.0), at(-15.0, 15.0)] {
+            let least = quad.iter().map(|p| (*p - corner).length()).fold(f64::MAX, f64::min);
+            assert!(least < 0.7, "{quad:?}");
+        }
+        // nothing at all, and what is no square
+        assert_eq!(fit_hull(&[], 1, DVec2::ZERO, &rectify), None);
+        let round = |k: i32| {
+            [60.0 + 30.0 * libm::cos(f64::from(k) * 0.1), 60.0 + 30.0 * libm::sin(f64::from(k) * 0.1)]
+        };
+        let circle: Vec<Crack> = (0..63).map(|k| round(k).map(|v| v as i16)).collect();
+        assert_eq!(fit_hull(&circle, 1, DVec2::ZERO, &rectify), None);
     }
 }

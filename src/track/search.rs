@@ -4,7 +4,7 @@
 //! The way through: `threshold` → `segment` → `contour` → `quad`.
 
 use super::contour::{self, Crack};
-use super::quad::{self, Quad};
+use super::quad::{self, Quad, Refusal};
 use super::rectify::Rectify;
 use super::segment::{Blob, Segment};
 use super::threshold::Threshold;
@@ -20,7 +20,19 @@ struct Outline {
     from: usize,
     to: usize,
     area: i64,
-    quad: Option<Quad>,
+    /// Whether it leads inside: a border that blur has opened.
+    open: bool,
+    small: bool,
+    found: Option<Found>,
+}
+
+/// A quad of the picture.
+#[derive(Clone, Copy, Debug)]
+pub struct Found {
+    /// In the whole picture's ideal pixels.
+    pub quad: Quad,
+    /// Whether it is the hull's around an outline that is none.
+    pub hull: bool,
 }
 
 /// The search with its buffers.
@@ -31,7 +43,7 @@ pub struct Search {
     order: Vec<u32>,
     contours: Vec<Crack>,
     outlines: Vec<Outline>,
-    quads: Vec<Quad>,
+    quads: Vec<Found>,
     /// Area of the largest picture that there is room for.
     roomy: usize,
 }
@@ -79,7 +91,7 @@ impl Search {
         limits: Limits,
         known: &[[DVec2; 2]],
         level: Level,
-    ) -> &[Quad] {
+    ) -> &[Found] {
         self.reserve(luma.size(), limits.most);
         self.threshold.apply(luma, limits.least_contrast, level);
         let mask = self.threshold.mask();
@@ -97,25 +109,42 @@ impl Search {
                 continue;
             }
             let from = self.contours.len();
-            let Some(area) = contour::trace(mask, blob, &mut self.contours) else { continue };
+            let Some((area, open)) = contour::trace(mask, blob, &mut self.contours) else { continue };
             let [w, h] = blob.extent().map(i64::from);
             // the thinnest view of a square still fills this much of its box
             if 6 * area < w * h {
                 self.contours.truncate(from);
                 continue;
             }
-            self.outlines.push(Outline { from, to: self.contours.len(), area, quad: None });
+            let (longer, step) = (w.max(h), i64::from(limits.step));
+            let small = longer <= i64::from(contour::MOST_OPEN_PX) && longer * step >= LEAST_HULL_PX;
+            self.outlines.push(Outline { from, to: self.contours.len(), area, open, small, found: None });
         }
         let contours = &self.contours;
         self.outlines.par_iter_mut().with_min_len(8).for_each(|outline| {
             let contour = &contours[outline.from..outline.to];
-            outline.quad = quad::fit(contour, outline.area, limits.step, limits.origin, rectify);
+            let plain = if outline.open {
+                Err(Refusal::Bumpy)
+            } else {
+                quad::fit(contour, outline.area, limits.step, limits.origin, rectify)
+            };
+            outline.found = match plain {
+                Ok(quad) => Some(Found { quad, hull: false }),
+                Err(Refusal::Bumpy) if outline.small => {
+                    let hull = quad::fit_hull(contour, limits.step, limits.origin, rectify);
+                    hull.map(|quad| Found { quad, hull: true })
+                }
+                Err(_) => None,
+            };
         });
         self.quads.clear();
-        self.quads.extend(self.outlines.iter().filter_map(|o| o.quad));
+        self.quads.extend(self.outlines.iter().filter_map(|o| o.found));
         &self.quads
     }
 }
+
+/// Smaller prints are not read through much blur, px of the whole picture.
+const LEAST_HULL_PX: i64 = 14;
 
 /// Cracks that have room, for every pixel of the picture: contours of a picture full of things.
 const CRACKS_PER_PIXEL: usize = 8;
