@@ -11,6 +11,7 @@
 //! often random bits are read as one of the family's codes ([`Family::chance`]).
 
 use super::align::Aligned;
+use super::bits::{MOST_BITS, SHARES, Soft, harden, restored};
 use super::quad::Quad;
 use super::rectify;
 pub use super::ring::Level;
@@ -286,7 +287,7 @@ fn attempt(view: &View<'_>, quad: &Quad, family: Family, polarity: Polarity) -> 
     }
     for share in SHARES {
         let bits = restored(&soft, family.inner(), share);
-        if std::mem::replace(&mut before, Some(bits)) == Some(bits) {
+        if before.replace(bits) == Some(bits) {
             continue;
         }
         let reading = family.read(bits).filter(|reading| family.chance(reading.hamming) < SURE_CHANCE);
@@ -304,56 +305,8 @@ const SURE_CHANCE: f64 = 1e-5;
 /// In cells of less than this blur mixes neighbors, px.
 const BLURRED_PX: f64 = 4.5;
 
-/// Shares of a cell's neighbors on either side in what is seen at its center: a normal blur of .5, .65 and .8 of its width.
-const SHARES: [f64; 3] = [0.15, 0.2, 0.25];
-
-/// The bits whose blurred print is what is seen: `share` of either neighbor, along rows and along columns. Landweber's
-/// iteration within the inks' range.
-fn restored(soft: &[[f64; MOST_BITS]; MOST_BITS], inner: usize, share: f64) -> u64 {
-    // the rings are blurred too: of black and white ink they show this much
-    let (middle, half) = (0.5 * share, 1.0 - 2.5 * share);
-    // with the border around
-    const SIDE: usize = MOST_BITS + 2;
-    let mut ink = [[-1.0f64; SIDE]; SIDE];
-    let seen = |row: usize, column: usize| (middle + half * soft[row][column]).clamp(-1.0, 1.0);
-    for row in 0..inner {
-        for column in 0..inner {
-            ink[row + 1][column + 1] = seen(row, column);
-        }
-    }
-    for _ in 0..ROUNDS {
-        let mut across = [[0.0; SIDE]; SIDE];
-        for (out, ink) in across.iter_mut().zip(&ink) {
-            for column in 1..=inner {
-                out[column] = (1.0 - 2.0 * share) * ink[column] + share * (ink[column - 1] + ink[column + 1]);
-            }
-        }
-        for row in 1..=inner {
-            for column in 1..=inner {
-                let blurred = (1.0 - 2.0 * share) * across[row][column]
-                    + share * (across[row - 1][column] + across[row + 1][column]);
-                let miss = seen(row - 1, column - 1) - blurred;
-                ink[row][column] = (ink[row][column] + 1.5 * miss).clamp(-1.0, 1.0);
-            }
-        }
-    }
-    let mut bits = 0;
-    for line in &ink[1..=inner] {
-        for v in &line[1..=inner] {
-            bits = (bits << 1) | u64::from(*v > 0.0);
-        }
-    }
-    bits
-}
-
-/// Rounds of the restoration.
-const ROUNDS: usize = 12;
-
 /// Cells narrower than this are read at their centers alone.
 const LEAST_CELL_PX: f64 = 3.0;
-
-/// Most bits along a side.
-const MOST_BITS: usize = 7;
 
 /// A quad whose rings are those of a marker, about to be read.
 struct Code<'a> {
@@ -376,7 +329,7 @@ impl Code<'_> {
     }
 
     /// The bits' gray values.
-    fn soft(&self) -> [[f64; MOST_BITS]; MOST_BITS] {
+    fn soft(&self) -> Soft {
         let inner = self.family.inner();
         let mut soft = [[0.0; MOST_BITS]; MOST_BITS];
         // four taps about the center calm the noise of cells that have the pixels for it
@@ -473,26 +426,6 @@ struct Fit {
     worst: f64,
 }
 
-/// Bits row by row, and the mean distance of the values from their threshold (each at most 1).
-fn harden(soft: &[[f64; MOST_BITS]; MOST_BITS], inner: usize, sharpen: f64) -> (u64, f64) {
-    let (mut bits, mut clarity) = (0u64, 0.0);
-    let value = |row: usize, column: usize| soft[row][column];
-    for row in 0..inner {
-        for column in 0..inner {
-            // outside the bits lies the black border
-            let mut beside = 0.0;
-            beside += if row > 0 { value(row - 1, column) } else { -1.0 };
-            beside += if column > 0 { value(row, column - 1) } else { -1.0 };
-            beside += if row + 1 < inner { value(row + 1, column) } else { -1.0 };
-            beside += if column + 1 < inner { value(row, column + 1) } else { -1.0 };
-            let v = value(row, column) + sharpen * (4.0 * value(row, column) - beside);
-            bits = (bits << 1) | u64::from(v > 0.0);
-            clarity += v.abs().min(1.0);
-        }
-    }
-    (bits, clarity / (inner * inner) as f64)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -521,43 +454,6 @@ mod tests {
             );
         }
         assert!(read < 10, "{read} ghosts in 100000");
-    }
-
-    /// Every code, blurred as the restoration has it, is restored, though most are not what its cells show.
-    #[test]
-    fn what_is_restored_is_what_was_blurred() {
-        let family = Family::Tag36h11;
-        let inner = family.inner();
-        for share in SHARES {
-            let (mut plain, mut right) = (0, 0);
-            for &code in family.codes() {
-                let bit = |row: isize, column: isize| {
-                    let inside = (0..inner as isize).contains(&row) && (0..inner as isize).contains(&column);
-                    let at =
-                        inner * inner - 1 - (row * inner as isize + column).max(0) as usize % (inner * inner);
-                    if inside && code >> at & 1 == 1 { 1.0 } else { -1.0 }
-                };
-                let across = |row, column| {
-                    (1.0 - 2.0 * share) * bit(row, column)
-                        + share * (bit(row, column - 1) + bit(row, column + 1))
-                };
-                let mut soft = [[0.0; MOST_BITS]; MOST_BITS];
-                for (row, line) in (0..).zip(&mut soft[..inner]) {
-                    for (column, value) in (0..).zip(&mut line[..inner]) {
-                        let seen = (1.0 - 2.0 * share) * across(row, column)
-                            + share * (across(row - 1, column) + across(row + 1, column));
-                        // from inks to what the blurred rings call black and white
-                        *value = (seen - 0.5 * share) / (1.0 - 2.5 * share);
-                    }
-                }
-                plain += usize::from(harden(&soft, inner, 0.0).0 == code);
-                right += usize::from(restored(&soft, inner, share) == code);
-            }
-            let all = family.codes().len();
-            // where three quarters of the light are the neighbors' the rounds there are do not end with every code
-            let least = if share < 0.25 { all } else { all * 4 / 5 };
-            assert!(right >= least && plain < all / 2, "{share}: {plain} plain, {right} restored of {all}");
-        }
     }
 
     /// The upright print is read upright, a turned one turned, at every number of pixels a cell.

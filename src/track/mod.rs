@@ -11,6 +11,7 @@
 //! threads nor on the SIMD level.
 
 mod align;
+mod bits;
 mod board;
 mod contour;
 mod decode;
