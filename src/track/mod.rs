@@ -313,10 +313,14 @@ impl Tracker {
         });
         self.decoded.extend(self.candidates.iter().filter_map(|c| c.found));
         let weak = wanted.iter().any(|w| is_weak(w.family));
+        // what is doubtful here may be plain in the next picture
+        let is_known = |candidate: &&Candidate| {
+            candidate.found.map_or(!weak && !candidate.hull, |found| !found.doubtful)
+        };
         self.known.extend(
             self.candidates
                 .iter()
-                .filter(|candidate| candidate.found.is_some() || !weak)
+                .filter(is_known)
                 .map(|candidate| bounds(&candidate.quad.map(|p| rectify::seen(lens, p))))
                 .filter(|[low, high]| (*high - *low).max_element() >= LEAST_KNOWN_PX * f64::from(step / 2)),
         );

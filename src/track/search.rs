@@ -22,6 +22,7 @@ struct Outline {
     area: i64,
     /// Whether it leads inside: a border that blur has opened.
     open: bool,
+    /// Whether its hull is tried as well.
     small: bool,
     found: Option<Found>,
 }
