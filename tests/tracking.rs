@@ -56,7 +56,13 @@ fn markers_are_found_and_sharp() {
     // the outline alone finds as many and is several times less exact
     let outline = accuracy(Config { align: false, ..Config::default() }, &taken).all();
     say("outline", &outline);
-    assert_eq!(outline.found, all.found);
+    // what blur has opened or mixed is believed only where alignment confirms it
+    assert!(
+        outline.found <= all.found && 20 * outline.found >= 19 * all.found,
+        "{} {}",
+        outline.found,
+        all.found
+    );
     assert!(quantile(&outline.corner_px, 0.5) > 2.0 * quantile(&all.corner_px, 0.5));
 }
 

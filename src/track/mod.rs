@@ -70,8 +70,8 @@ pub struct Config {
     /// Most blobs that are followed and read in one picture, the largest first: bounds the work on noise.
     /// Default 1500.
     pub most_candidates: usize,
-    /// Whether corners are aligned to the whole print (sub-pixel accuracy) or left as the outline gave them.
-    /// Default true.
+    /// Whether corners are aligned to the whole print (sub-pixel accuracy) or left as the outline gave them; small
+    /// prints that blur has opened or mixed are then not believed. Default true.
     pub align: bool,
     /// How much is done to find the hardest markers. Default `normal`.
     pub quality: Quality,
@@ -395,7 +395,7 @@ fn sight(
         };
         align::align(view, &start, rectify, level)
     });
-    if align.is_some() && !found.stands(aligned.as_ref()) {
+    if !found.stands(aligned.as_ref()) {
         return None;
     }
     let mut quad = aligned.map_or(found.quad, |aligned| aligned.quad);
