@@ -202,9 +202,8 @@ impl Sheets<'_> {
             self.depth.write_depth(slot.w(), nothing, rect);
         } else {
             let [r, g, b] = &mut self.color;
-            let gray = palette.gray().zip(slot.others.first());
-            if let Some((gray, light)) = gray {
-                let from = slot.w().chunks_exact(STRIDE).zip(light.chunks_exact(STRIDE));
+            if let Some(gray) = palette.gray() {
+                let from = slot.w().chunks_exact(STRIDE).zip(slot.light().chunks_exact(STRIDE));
                 for (y, (w, light)) in from.enumerate().take(rect.y1 - rect.y0) {
                     let (Some(w), Some(light)) = (w.first_chunk(), light.first_chunk()) else { return };
                     let whole =

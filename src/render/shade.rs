@@ -193,11 +193,11 @@ impl Surface {
     ) -> (i32x8<S>, i32x8<S>, i32x8<S>) {
         let channels = palette.channels;
         let light = match self.kind {
-            Kind::Smooth => unit_range(simd, load(simd, &slot.others[0], at) * z),
-            Kind::Flat => load(simd, &slot.others[0], at),
+            Kind::Smooth => unit_range(simd, load(simd, slot.light(), at) * z),
+            Kind::Flat => load(simd, slot.light(), at),
             Kind::Toon => {
                 let mut out = [0.0f32; RUN];
-                unit_range(simd, load(simd, &slot.others[0], at) * z).store_slice(&mut out);
+                unit_range(simd, load(simd, slot.light(), at) * z).store_slice(&mut out);
                 for value in &mut out {
                     *value = self.toon(*value);
                 }

@@ -117,6 +117,11 @@ impl Slot {
         &self.near[0]
     }
 
+    /// Intensity over z of the nearest surface; of flat faces intensity itself.
+    pub fn light(&self) -> &Values {
+        &self.others[0]
+    }
+
     /// No surface anywhere, of what this frame keeps.
     pub fn clear(&mut self, channels: Channels, nothing: f32) {
         fill(&mut self.near[0], nothing);

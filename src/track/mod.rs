@@ -15,6 +15,7 @@ mod bits;
 mod board;
 mod contour;
 mod decode;
+mod evidence;
 mod filter;
 mod follow;
 mod known;

@@ -52,8 +52,8 @@ pub fn fit(
         let (points, step) = (&points[..count], f64::from(step));
         // a strong lens shows things in its corners half as large as they are
         let area = if rectify.bends() { enclosed(points) } else { area as f64 * step * step };
-        let mut refusal = Refusal::Shape;
-        fit_points(points, area, step, every, &mut refusal).ok_or(refusal)
+        let corners = corners_of(points, area).ok_or(Refusal::Shape)?;
+        fit_sides(points, corners, area, step, every).ok_or(Refusal::Bumpy)
     })
 }
 
@@ -88,7 +88,8 @@ pub fn fit_hull(contour: &[Crack], step: u32, origin: DVec2, rectify: &Rectify) 
             from = to;
         }
         let points = points.get(..count).filter(|_| count >= 16)?;
-        fit_points(points, enclosed(points), f64::from(step), 1, &mut Refusal::Shape)
+        let area = enclosed(points);
+        fit_sides(points, corners_of(points, area)?, area, f64::from(step), 1)
     })
 }
 
@@ -159,8 +160,8 @@ thread_local! {
     static POINTS: RefCell<[DVec2; MOST_POINTS]> = const { RefCell::new([DVec2::ZERO; MOST_POINTS]) };
 }
 
-/// `refusal` is left at `Bumpy` where there were sides.
-fn fit_points(points: &[DVec2], area: f64, step: f64, every: usize, refusal: &mut Refusal) -> Option<Quad> {
+/// Which points are nearest to the corners of a quadrilateral of that area, in their order.
+fn corners_of(points: &[DVec2], area: f64) -> Option<[usize; 4]> {
     let count = points.len();
     // indices run at most once around; a division here would cost more than everything else
     let at = |i: usize| points[if i < count { i } else { i - count }];
@@ -189,11 +190,13 @@ fn fit_points(points: &[DVec2], area: f64, step: f64, every: usize, refusal: &mu
     corners.iter_mut().for_each(|i| *i %= count);
     corners.sort_unstable();
     let rough = corners.map(at);
-    if !(is_convex(&rough) && fits_area(&rough, area)) {
-        return None;
-    }
+    (is_convex(&rough) && fits_area(&rough, area)).then_some(corners)
+}
 
-    *refusal = Refusal::Bumpy;
+/// Lines through the points between the corners, twice; `every`: one in how many of a contour's points these are.
+fn fit_sides(points: &[DVec2], mut corners: [usize; 4], area: f64, step: f64, every: usize) -> Option<Quad> {
+    let count = points.len();
+    let at = |i: usize| points[if i < count { i } else { i - count }];
     let mut quad = [DVec2::ZERO; 4];
     for pass in 0..2 {
         let mut lines = [Line::default(); 4];
