@@ -16,7 +16,7 @@ use super::evidence::{Evidence, OFTEN};
 use super::quad::Quad;
 use super::rectify;
 pub use super::ring::Level;
-use super::ring::Ring;
+use super::ring::{Glance, Ring};
 use crate::geometry::{Homography, Lens};
 use crate::marker::{Family, Patch, Patterns, Polarity, Reading};
 use crate::pixels::PlaneRef;
@@ -112,7 +112,9 @@ pub fn decode(view: &View<'_>, quad: &Quad, family: Family, polarity: Polarity) 
 /// Reads the quad as one of the picture markers. The picture is the middle half of the quad.
 pub fn decode_picture(view: &View<'_>, quad: &Quad, known: &Patterns, polarity: Polarity) -> Option<Decoded> {
     let map = Homography::from_square(*quad)?;
-    let ring = Ring::read(view, &map, code_cells(Family::Pattern), polarity)?;
+    let cells = code_cells(Family::Pattern);
+    Glance::at(view, &map, cells, polarity)?;
+    let ring = Ring::read(view, &map, cells, polarity)?;
     if ring.dark < 1.0 || ring.light < OFTEN.light {
         return None;
     }
@@ -167,10 +169,28 @@ fn code_cells(family: Family) -> usize {
     family.inner() + (2.0 * family.border()) as usize
 }
 
+/// A point given in cells of the code from its top-left, in the marker square.
+#[inline]
+fn in_square(family: Family, column: f64, row: f64) -> DVec2 {
+    let cell = 2.0 / code_cells(family) as f64;
+    let border = family.border();
+    DVec2::new(-1.0 + (column + border) * cell, 1.0 - (row + border) * cell)
+}
+
 /// One reading. Outer `None`: nothing like a marker of this family; inner `None`: a ring, but no code.
 fn attempt(view: &View<'_>, quad: &Quad, family: Family, polarity: Polarity) -> Option<Option<Decoded>> {
     let map = Homography::from_square(*quad)?;
     let cells = code_cells(family);
+    let glance = Glance::at(view, &map, cells, polarity)?;
+    let centers = (0..family.inner() * family.inner()).map(|i| (i % family.inner(), i / family.inner()));
+    let mut grays = centers.map(|(column, row)| {
+        let p = in_square(family, column as f64 + 0.5, row as f64 + 0.5);
+        polarity.gray(view.gray(map.apply(p)))
+    });
+    if !grays.any(|gray| glance.is_lit(gray)) {
+        // most dark things are plain ones
+        return None;
+    }
     let ring = Ring::read(view, &map, cells, polarity)?;
     let cell_px = super::quad::area(quad).max(0.0).sqrt() / cells as f64;
     let least = Evidence::of(family, 0, None, cell_px);
@@ -238,9 +258,7 @@ impl Code<'_> {
     /// Gray at a point given in cells of the code from its top-left: -1 = black, 1 = white.
     #[inline]
     fn at(&self, column: f64, row: f64) -> f64 {
-        let cell = 2.0 / code_cells(self.family) as f64;
-        let border = self.family.border();
-        let p = DVec2::new(-1.0 + (column + border) * cell, 1.0 - (row + border) * cell);
+        let p = in_square(self.family, column, row);
         self.ring.place(p, self.polarity.gray(self.view.gray(self.map.apply(p))))
     }
 

@@ -65,9 +65,6 @@ impl Ring {
     /// a side. `None` when the inner one is not darker by far.
     pub fn read(view: &View<'_>, map: &Homography, cells: usize, polarity: Polarity) -> Option<Self> {
         let half = 1.0 / cells as f64;
-        if !may_be(view, map, half, polarity) {
-            return None;
-        }
         let (black, inside) = sample(view, map, cells, 1.0 - half, polarity);
         let (white, outside) = sample(view, map, cells, 1.0 + half, polarity);
         if white.mean - black.mean < LEAST_CONTRAST {
@@ -94,29 +91,51 @@ impl Ring {
     }
 }
 
-/// A quick look at eight places on either ring: whether the outer one may be lighter.
-fn may_be(view: &View<'_>, map: &Homography, half: f64, polarity: Polarity) -> bool {
-    let at = |x: f64, y: f64| polarity.gray(view.gray(map.apply(DVec2::new(x, y))));
-    let (mut step, mut lighter) = (0.0, 0);
-    for (x, y) in [
-        (-0.3, 1.0),
-        (0.6, 1.0),
-        (1.0, -0.3),
-        (1.0, 0.6),
-        (0.3, -1.0),
-        (-0.6, -1.0),
-        (-1.0, 0.3),
-        (-1.0, -0.6),
-    ] {
-        // the larger coordinate is the ring's
-        let on = |v: f64, radius: f64| if v.abs() == 1.0 { v * radius } else { v };
-        let (inner, outer) = (1.0 - half, 1.0 + half);
-        let rise = at(on(x, outer), on(y, outer)) - at(on(x, inner), on(y, inner));
-        step += rise;
-        lighter += u32::from(rise > 0.0);
-    }
-    step >= 8.0 * 0.5 * LEAST_CONTRAST && lighter >= 5
+/// What a quick look at a quad shows: gray at eight places on either ring.
+#[derive(Clone, Copy, Debug)]
+pub struct Glance {
+    /// Mean gray of the border.
+    black: f64,
+    /// Mean step from there to the quiet zone.
+    step: f64,
 }
+
+impl Glance {
+    /// `None` where the outer ring is not lighter; arguments as those of [`Ring::read`].
+    pub fn at(view: &View<'_>, map: &Homography, cells: usize, polarity: Polarity) -> Option<Self> {
+        let gray = |x: f64, y: f64| polarity.gray(view.gray(map.apply(DVec2::new(x, y))));
+        let half = 1.0 / cells as f64;
+        let (mut glance, mut lighter) = (Self { black: 0.0, step: 0.0 }, 0);
+        for (x, y) in [
+            (-0.3, 1.0),
+            (0.6, 1.0),
+            (1.0, -0.3),
+            (1.0, 0.6),
+            (0.3, -1.0),
+            (-0.6, -1.0),
+            (-1.0, 0.3),
+            (-1.0, -0.6),
+        ] {
+            // the larger coordinate is the ring's
+            let on = |v: f64, radius: f64| if v.abs() == 1.0 { v * radius } else { v };
+            let (inner, outer) = (1.0 - half, 1.0 + half);
+            let black = gray(on(x, inner), on(y, inner));
+            let rise = gray(on(x, outer), on(y, outer)) - black;
+            glance.black += black / 8.0;
+            glance.step += rise / 8.0;
+            lighter += u32::from(rise > 0.0);
+        }
+        (glance.step >= 0.5 * LEAST_CONTRAST && lighter >= 5).then_some(glance)
+    }
+
+    /// Whether a gray within the border is anything but the border's: a bit's, perhaps.
+    pub fn is_lit(&self, gray: f64) -> bool {
+        gray > self.black + LIT * self.step
+    }
+}
+
+/// Share of the step from black to white that the lightest bit of a code shows at least, whatever blur and shadow.
+const LIT: f64 = 0.25;
 
 /// Gray at the middles of the cells along the four sides of the square ±radius, and the plane through them.
 fn sample(
