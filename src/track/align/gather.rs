@@ -22,6 +22,8 @@ pub const QUIET: f64 = 0.45;
 const REACH: f64 = 1.33;
 /// Of the pixels no edge reaches, every `RUN`th of every so manieth row takes part, for the levels.
 const FLAT_ROWS: usize = 2;
+/// Most rows from one looked at to the next: a sharp edge along the rows is blurred over four.
+const MOST_APART: usize = 2;
 const FLATS: u64 = 0x0101_0101_0101_0101;
 /// Kernels wider than this many cells, either way, reach nearly everything.
 const WIDE_CELLS: f64 = 0.75;
@@ -95,16 +97,17 @@ pub fn gather<S: Simd>(
     let area = outline.area();
     let expected =
         if everything { area } else { samples.reach.area.min(area) + area / (RUN * FLAT_ROWS) as f64 };
-    // runs are left out by a sequence that is even along every line
+    // rows are left out first, then runs by a sequence that is even along every line
     let share = most as f64 / expected.max(1.0);
     samples.whole = share >= 1.0;
-    let limit = (share * 65536.0).min(65536.0) as u32;
+    let apart = ((1.0 / share) as usize).clamp(1, MOST_APART);
+    let limit = (share * apart as f64 * 65536.0).min(65536.0) as u32;
     let (center, scale) = (fit.center.as_vec2(), (1.0 / fit.scale) as f32);
-    for y in low..high {
+    for (k, y) in (low..high).step_by(apart).enumerate() {
         let Some([from, to]) = outline.span(y as f64, size.width) else { continue };
         let within = from / 64..(to - 1) / 64 + 1;
         let mask = &mut samples.mask;
-        let flats = if y % FLAT_ROWS == 0 { FLATS << (y / FLAT_ROWS * 3 % RUN) } else { 0 };
+        let flats = if k % FLAT_ROWS == 0 { FLATS << (k / FLAT_ROWS * 3 % RUN) } else { 0 };
         mask[within.clone()].fill(if everything { !0 } else { flats });
         if !everything {
             samples.reach.row(simd, y, [from, to], mask);
@@ -146,6 +149,14 @@ impl Samples {
     /// Takes the lanes whose bits are set; there is room for all.
     #[inline(always)]
     fn push(&mut self, x: [f32; RUN], y: [f32; RUN], gray: [u8; RUN], taken: u64) {
+        if taken == 0xff && self.count + RUN <= MOST_SAMPLES {
+            let to = self.count..self.count + RUN;
+            self.x[to.clone()].copy_from_slice(&x);
+            self.y[to.clone()].copy_from_slice(&y);
+            self.gray[to].copy_from_slice(&gray.map(f32::from));
+            self.count += RUN;
+            return;
+        }
         for lane in 0..RUN {
             // overwritten by the next one where it is not taken
             let at = self.count % MOST_SAMPLES;
