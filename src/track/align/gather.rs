@@ -13,13 +13,13 @@ use fearless_simd::{Simd, f32x8, i32x8, prelude::*};
 use glam::{DMat3, DVec2};
 
 /// Most pixels a fit looks at: bounds the work on large markers.
-pub const MOST_SAMPLES: usize = 3072;
+pub const MOST_SAMPLES: usize = 2560;
 /// Pixels taken at once: a byte of the mask.
 const RUN: usize = 8;
 /// Cells of quiet zone that are looked at.
 pub const QUIET: f64 = 0.45;
 /// Half-widths of the kernel that an edge reaches: the kernel may still grow.
-const REACH: f64 = 1.33;
+const REACH: f64 = 0.85;
 /// Of the pixels no edge reaches, every `RUN`th of every so manieth row takes part, for the levels.
 const FLAT_ROWS: usize = 2;
 /// Most rows from one looked at to the next: a sharp edge along the rows is blurred over four.
@@ -331,7 +331,7 @@ impl Reach {
             place.ideal(u, v)
         });
         let along = (q - p).normalize_or_zero();
-        let half_width = REACH * place.half_width(along.perp()) + 0.5;
+        let half_width = REACH * place.half_width(along.perp()) + 0.0;
         let [p, q] = [p, q].map(|p| rectify::seen(place.view.lens, p));
         let along = (q - p).normalize_or_zero();
         let half_length = 0.5 * (q - p).length() + half_width;
