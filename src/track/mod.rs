@@ -271,6 +271,7 @@ impl Tracker {
             least_side_px: self.config.least_side_px.max(8),
             least_contrast: self.config.least_contrast.clamp(1, 60),
             most,
+            solid: self.config.quality == Quality::Full || wanted.iter().any(|w| w.family == Family::Pattern),
             step,
             origin: DVec2::new(left as f64, top as f64),
         };

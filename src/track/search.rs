@@ -58,6 +58,8 @@ pub struct Limits {
     pub least_contrast: u8,
     /// Most outlines that are followed.
     pub most: usize,
+    /// Whether blobs that enclose nothing light are followed as well: pictures, and prints all blurred.
+    pub solid: bool,
     /// Pixels of the whole picture along one of the searched picture's: 1 or 2.
     pub step: u32,
     /// Where the searched picture begins in the whole one, px.
@@ -112,8 +114,9 @@ impl Search {
             let from = self.contours.len();
             let Some((area, open)) = contour::trace(mask, blob, &mut self.contours) else { continue };
             let [w, h] = blob.extent().map(i64::from);
-            // the thinnest view of a square still fills this much of its box
-            if 6 * area < w * h {
+            // the thinnest view of a square still fills this much of its box, and in a code something is light
+            let solid = !open && i64::from(blob.area) >= area;
+            if 6 * area < w * h || (solid && !limits.solid) {
                 self.contours.truncate(from);
                 continue;
             }
