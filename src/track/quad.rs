@@ -14,7 +14,7 @@ use std::cell::RefCell;
 pub type Quad = [DVec2; 4];
 
 /// Most points of a contour that are looked at.
-const MOST_POINTS: usize = 128;
+const MOST_POINTS: usize = 256;
 
 /// Least length of a side, px.
 pub const LEAST_SIDE_PX: f64 = 5.0;

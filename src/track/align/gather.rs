@@ -18,12 +18,10 @@ pub const MOST_SAMPLES: usize = 2560;
 const RUN: usize = 8;
 /// Cells of quiet zone that are looked at.
 pub const QUIET: f64 = 0.45;
-/// Half-widths of the kernel that an edge reaches: the kernel may still grow.
-const REACH: f64 = 0.85;
+/// The kernel's half-width changes along a straight piece, seen at an angle, by less than this, px.
+const SLACK_PX: f64 = 0.15;
 /// Of the pixels no edge reaches, every `RUN`th of every so manieth row takes part, for the levels.
 const FLAT_ROWS: usize = 2;
-/// Most rows from one looked at to the next: a sharp edge along the rows is blurred over four.
-const MOST_APART: usize = 2;
 const FLATS: u64 = 0x0101_0101_0101_0101;
 /// Kernels wider than this many cells, either way, reach nearly everything.
 const WIDE_CELLS: f64 = 0.75;
@@ -82,7 +80,7 @@ pub fn gather<S: Simd>(
     let hidden = match pattern.picture {
         // what the picture's ink may reach is not known
         Some([from, to]) => {
-            let wide = REACH * place.widest();
+            let wide = place.widest();
             place.square(f64::from(from) - wide, f64::from(to) + wide)
         }
         None => None,
@@ -90,24 +88,23 @@ pub fn gather<S: Simd>(
     let hidden = hidden.map(|corners| Outline::new(&corners));
     let outline = Outline::new(&outer);
     let [low, high] = outline.rows(size.height);
-    let everything = REACH * place.widest() >= WIDE_CELLS;
+    let everything = place.widest() >= WIDE_CELLS;
     if !everything {
         samples.reach.lay(&place, pattern, rectify.bends());
     }
     let area = outline.area();
     let expected =
         if everything { area } else { samples.reach.area.min(area) + area / (RUN * FLAT_ROWS) as f64 };
-    // rows are left out first, then runs by a sequence that is even along every line
+    // runs are left out by a sequence that is even along every line
     let share = most as f64 / expected.max(1.0);
     samples.whole = share >= 1.0;
-    let apart = ((1.0 / share) as usize).clamp(1, MOST_APART);
-    let limit = (share * apart as f64 * 65536.0).min(65536.0) as u32;
+    let limit = (share * 65536.0).min(65536.0) as u32;
     let (center, scale) = (fit.center.as_vec2(), (1.0 / fit.scale) as f32);
-    for (k, y) in (low..high).step_by(apart).enumerate() {
+    for y in low..high {
         let Some([from, to]) = outline.span(y as f64, size.width) else { continue };
         let within = from / 64..(to - 1) / 64 + 1;
         let mask = &mut samples.mask;
-        let flats = if k % FLAT_ROWS == 0 { FLATS << (k / FLAT_ROWS * 3 % RUN) } else { 0 };
+        let flats = if y % FLAT_ROWS == 0 { FLATS << (y / FLAT_ROWS * 3 % RUN) } else { 0 };
         mask[within.clone()].fill(if everything { !0 } else { flats });
         if !everything {
             samples.reach.row(simd, y, [from, to], mask);
@@ -331,7 +328,7 @@ impl Reach {
             place.ideal(u, v)
         });
         let along = (q - p).normalize_or_zero();
-        let half_width = REACH * place.half_width(along.perp()) + 0.0;
+        let half_width = place.half_width(along.perp()) + SLACK_PX;
         let [p, q] = [p, q].map(|p| rectify::seen(place.view.lens, p));
         let along = (q - p).normalize_or_zero();
         let half_length = 0.5 * (q - p).length() + half_width;

@@ -24,7 +24,7 @@ fn askew(cell_px: f64, reach: f64) -> (Samples, Pattern, Fit) {
     let fit = Fit { map, center, scale, levels, blur, reach, rigid: false };
     let mut samples = Samples::NONE;
     let level = simd::best();
-    dispatch!(level, simd => gather::gather(simd, &view, &rectify, &fit, &pattern, 4000, &mut samples));
+    dispatch!(level, simd => gather::gather(simd, &view, &rectify, &fit, &pattern, MOST_SAMPLES, &mut samples));
     assert!(samples.count > 200);
     (samples, pattern, fit)
 }
@@ -44,7 +44,11 @@ fn pixels_that_edges_reach_take_part() {
             assert!(taken.insert((p.x.round() as i32, p.y.round() as i32)), "{p} twice");
         }
         if !samples.whole {
-            assert!(cell_px == 11.0 && (2000..=4000).contains(&samples.count), "{}", samples.count);
+            assert!(
+                cell_px == 11.0 && (MOST_SAMPLES * 3 / 4..=MOST_SAMPLES).contains(&samples.count),
+                "{}",
+                samples.count
+            );
             continue;
         }
         let (mut reached, mut spare) = (0, 0);
