@@ -20,8 +20,10 @@ const TRACKED_EVERY: Duration = Duration::from_millis(200);
 const REOPEN: [Duration; 2] = [Duration::from_millis(100), Duration::from_secs(2)];
 /// Messages whose repeats are known.
 const REPEATS: usize = 16;
-/// How far a board's time may be from where its clock should stand by now, ms.
+/// How far a board's time may be ahead of where its clock can stand by now, or before the newest one heard, ms.
 const STRAY_MS: i32 = 3000;
+/// As far before the newest comes what a board that goes on sends again after 50, 100 and 200 ms, ms.
+const RESENT_MS: i32 = 500;
 /// So many strays one after the other are no broken bytes: the clock was set anew.
 const STRAYS: u32 = 3;
 /// Bytes that may wait for a slow port; what else there is to say is left out.
@@ -60,6 +62,17 @@ enum State {
     },
 }
 
+/// A board's clock, as far as can be told: what is said may be heard late, never early.
+#[derive(Clone, Copy, Debug)]
+struct Clock {
+    /// Its newest time.
+    newest: u32,
+    /// When that was heard.
+    heard: Duration,
+    /// Where it stood then, had nothing ever been late.
+    stood: u32,
+}
+
 /// One end of the line.
 #[derive(Debug)]
 pub struct Link {
@@ -73,8 +86,9 @@ pub struct Link {
     told: Vec<Press>,
     seq: u8,
     repeats: [Option<(u8, u16)>; REPEATS],
-    /// The newest board time and when it was heard.
-    clock: Option<(u32, Duration)>,
+    clock: Option<Clock>,
+    /// A greeting or an opening came since the last time heard: the board may have begun anew.
+    anew: bool,
     /// Messages in a row whose time cannot be.
     strays: u32,
     /// How many buttons the board has.
@@ -104,6 +118,7 @@ impl Link {
             seq: 0,
             repeats: [None; REPEATS],
             clock: None,
+            anew: false,
             strays: 0,
             buttons: 0,
             status: Status::default(),
@@ -167,11 +182,10 @@ impl Link {
             State::Up { .. } => REOPEN[0],
         };
         self.state = State::Closed { again: now + pause, pause: (pause * 2).min(REOPEN[1]) };
-        self.presses.release(&mut self.told);
         self.wire.reset();
         self.out.clear();
-        (self.clock, self.watching, self.noisy, self.strays) = (None, false, 0, 0);
-        self.repeats = [None; REPEATS];
+        self.watching = false;
+        self.doubt();
     }
 
     /// How the visor is now: told to the board when it is due.
@@ -209,9 +223,9 @@ impl Link {
             State::Up { .. } => self.tell(now),
             _ => {}
         }
-        if let Some((board, heard)) = self.clock {
+        if let Some(Clock { newest, heard, .. }) = self.clock {
             let since = now.saturating_sub(heard).as_millis() as u32;
-            self.presses.tick(board.wrapping_add(since), &mut self.told);
+            self.presses.tick(newest.wrapping_add(since), &mut self.told);
         }
         self.flush(asks);
         if self.watching && now >= self.beat + BEAT_EVERY {
@@ -347,31 +361,42 @@ impl Link {
             self.said = Status::default();
             (self.beat, self.tracked) = (Duration::ZERO, Duration::ZERO);
         }
-        // one that was up has begun anew: its clock too
-        self.presses.release(&mut self.told);
-        (self.clock, self.repeats, self.noisy, self.strays) = (None, [None; REPEATS], 0, 0);
+        self.doubt();
         self.state = State::Up { heard: now };
     }
 
+    /// All buttons are released. Whether the board began anew, or goes on and may send again what was counted, is told
+    /// by the next time it says.
+    fn doubt(&mut self) {
+        self.presses.let_go(&mut self.told);
+        (self.anew, self.repeats, self.noisy, self.strays) = (true, [None; REPEATS], 0, 0);
+    }
+
     /// Takes the board's clock from a message; `false` when that time cannot be: a checksum of 16 bits lets one broken
-    /// frame in 65536 through.
+    /// frame in 65536 through. What is late, on its way or here, is believed.
     fn believes(&mut self, at: u32, now: Duration) -> bool {
-        if let Some((board, heard)) = self.clock {
+        let mut stands = at;
+        if let Some(Clock { newest, heard, stood }) = self.clock {
             let since = now.saturating_sub(heard).as_millis() as u32;
-            let off = at.wrapping_sub(board.wrapping_add(since)) as i32;
-            if !(-STRAY_MS..=STRAY_MS).contains(&off) {
+            let back = if self.anew { RESENT_MS } else { STRAY_MS };
+            let (off, ahead) =
+                (at.wrapping_sub(newest) as i32, at.wrapping_sub(stood.wrapping_add(since)) as i32);
+            if off < -back || ahead > STRAY_MS {
                 self.strays += 1;
-                if self.strays < STRAYS {
+                if self.strays < STRAYS && !self.anew {
                     return false;
                 }
                 self.presses.release(&mut self.told);
                 self.clock = None;
+            } else if ahead < 0 {
+                // a board's clock may be slow, by one part in 128
+                stands = at.wrapping_add(ahead.unsigned_abs().saturating_sub(since / 128));
             }
         }
-        self.strays = 0;
+        (self.strays, self.anew) = (0, false);
         // repeats are old
-        if self.clock.is_none_or(|(board, _)| at.wrapping_sub(board) as i32 > 0) {
-            self.clock = Some((at, now));
+        if self.clock.is_none_or(|clock| at.wrapping_sub(clock.newest) as i32 > 0) {
+            self.clock = Some(Clock { newest: at, heard: now, stood: stands });
         }
         true
     }

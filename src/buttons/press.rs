@@ -104,13 +104,22 @@ impl Presses {
         }
     }
 
-    /// The board is out of reach, or has begun anew: everything is released. A button that was down and still is when
-    /// the board is back has not been pressed again.
-    /// Presses that were going on are told as they were.
-    pub fn release(&mut self, out: &mut Vec<Press>) {
-        self.last = None;
+    /// The board is out of reach: everything is released. Presses that were going on are told as they were. What was
+    /// heard is remembered: it may be sent again when the same board is back.
+    pub fn let_go(&mut self, out: &mut Vec<Press>) {
         for (index, own) in self.buttons.iter_mut().enumerate() {
-            own.release(index as u8 + 1, out);
+            own.let_go(index as u8 + 1, out);
+        }
+    }
+
+    /// The board has begun anew, its clock too: everything is released and forgotten. A button that was down and still
+    /// is when the board is back has not been pressed again.
+    pub fn release(&mut self, out: &mut Vec<Press>) {
+        self.let_go(out);
+        self.last = None;
+        for own in &mut self.buttons {
+            own.facts.clear();
+            own.base = false;
         }
     }
 
@@ -178,15 +187,14 @@ impl Button {
         }
     }
 
-    fn release(&mut self, number: u8, out: &mut Vec<Press>) {
+    fn let_go(&mut self, number: u8, out: &mut Vec<Press>) {
         match self.going {
             Going::Down { second: true, .. } => out.push(Press::Done(number, Kind::Double)),
             Going::Down { .. } | Going::Between { .. } => out.push(Press::Done(number, Kind::Short)),
             Going::Idle | Going::Told => {}
         }
         self.was_down |= self.is_down;
-        self.facts.clear();
-        (self.base, self.is_down, self.going, self.muted) = (false, false, Going::Idle, None);
+        (self.is_down, self.going, self.muted) = (false, Going::Idle, None);
     }
 
     fn learn(&mut self, fact: Fact, at: u32, number: u8, out: &mut Vec<Press>) {
@@ -196,9 +204,10 @@ impl Button {
                 Fact::IsDown | Fact::Up => self.fresh || self.was_down,
                 Fact::Down | Fact::IsUp => false,
             };
-            (self.base, self.was_down, self.fresh) = (known, false, false);
+            (self.base, self.fresh) = (known, false);
             self.going = if known { Going::Told } else { Going::Idle };
         }
+        self.was_down = false;
         let not_after = |known: &(u32, Fact)| order(*known, (at, fact)) != Ordering::Greater;
         let place = self.facts.iter().rposition(not_after).map_or(0, |before| before + 1);
         if self.facts.contains(&(at, fact)) || (place == 0 && self.facts.len() == MEMORY) {
