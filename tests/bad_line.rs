@@ -211,9 +211,11 @@ fn hammer(
     let mut unplug_at = unplug_every;
     let mut asks = Vec::new();
     let (mut last_up, mut awake) = (0, 0);
-    while made < count || going.iter().any(Option::is_some) || now < last_up + 24_000 {
+    // what the visor hears may be so old, ms, besides what the line makes of it
+    let late = if starved { 11_000 } else { 0 };
+    while made < count || going.iter().any(Option::is_some) || now < last_up + 12_000 + late {
         now += 1;
-        if now % 15_000 == 0 {
+        if now % (2000 + late) == 0 {
             board.said.swap(0, 1);
             board.said[0].clear();
         }
@@ -307,7 +309,7 @@ fn hammer(
         // long enough ago for every repeat: what was shown of a press by now is all
         let mut settled = Vec::new();
         recent.retain(|(press, known)| {
-            let old = now > press.up + 14_000;
+            let old = now > press.up + 3000 + late;
             if old {
                 settled.push((press.button, press.down, *known));
             }
