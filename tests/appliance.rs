@@ -208,6 +208,55 @@ fn a_settings_file_that_was_cut_short_is_stood_in_for() {
     }
 }
 
+/// Settings with a mistake, on a card that somebody wrote elsewhere: the screen says which, and what was good last, or the
+/// file once it is right, is shown then.
+#[test]
+fn a_mistake_in_the_settings_is_told_on_the_screen() {
+    let folder = Folder::new("mistake");
+    let pictures = folder.0.join("pictures");
+    let good = still("illustrative", "").replace("{}", pictures.to_str().expect("plain path"));
+    let wrong = good.replace("fade_ms", "fade");
+    let reason = "visor.toml:11: unknown field `fade`";
+    let wait = ["--wait", "--display", pictures.to_str().expect("plain path")];
+    let refused = |s: &Value| s["settings"]["refused"].as_str().is_some_and(|r| r.contains(reason));
+    let slates = |s: &Value| s["frames"]["slates"].as_u64();
+
+    // nothing to go on with
+    folder.write("visor.toml", &wrong);
+    let visor = Visor::start(&folder, &wait);
+    let told = status(&folder, "told", |s| slates(s) > Some(2));
+    assert!(refused(&told), "{told:#}");
+    assert_eq!(told["faults"], serde_json::json!([{ "code": "S1", "now": true, "count": 1 }]));
+    let picture = &shown(&pictures)[0];
+    let ink = picture.planes[0].samples().iter().filter(|&&value| value > 100).count();
+    assert!((1000..50_000).contains(&ink), "{ink} pixels of words");
+    folder.write("visor.toml", &good);
+    let taken = status(&folder, "right", |s| s["frames"]["shown"].as_u64() > Some(2));
+    assert_eq!((&taken["style"], &taken["settings"]["refused"]), (&"illustrative".into(), &Value::Null));
+    visor.signal("-TERM");
+    visor.ends();
+
+    // what was good last stands in, once it was said
+    folder.write("visor.toml", &wrong);
+    std::fs::remove_file(folder.0.join("status.json")).expect("of the last run");
+    let visor = Visor::start(&folder, &wait);
+    let told = status(&folder, "told", |s| slates(s) > Some(2));
+    assert!(refused(&told) && told["frames"]["shown"] == 0, "{told:#}");
+    let stands_in = status(&folder, "going on", |s| s["frames"]["shown"].as_u64() > Some(2));
+    assert!(refused(&stands_in) && stands_in["style"] == "illustrative", "{stands_in:#}");
+    visor.signal("-TERM");
+    visor.ends();
+
+    // told to stop while there is nothing to go on with
+    let folder = Folder::new("stopped");
+    folder.write("visor.toml", &wrong);
+    let visor = Visor::start(&folder, &["--wait", "--display", "null"]);
+    status(&folder, "told", |s| slates(s) > Some(0));
+    visor.signal("-TERM");
+    let mut visor = visor;
+    assert!(visor.0.wait().expect("a child").success());
+}
+
 /// User and system time of a process, in seconds.
 fn cpu(process: u32) -> f64 {
     let text = std::fs::read_to_string(format!("/proc/{process}/stat")).expect("a running process");

@@ -59,12 +59,12 @@ PLAIN_KERNEL = ["-append", "console=ttyAMA0 panic=-1 quiet kpti=off mitigations=
 class Board:
     """A booted board: its console lines, its monitor. Always ended by `close`."""
 
-    def __init__(self, folder, name, options=()):
+    def __init__(self, folder, name, options=(), boot=HERE / "boot.sh"):
         self.folder = folder
         self.lines = []
         self.log = open(folder / f"{name}.log", "w")
         self.process = subprocess.Popen(
-            ["bash", HERE / "boot.sh", folder, *options],
+            ["bash", boot, folder, *options],
             stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
         self.reader = threading.Thread(target=self.read, daemon=True)
         self.reader.start()

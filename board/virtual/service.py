@@ -151,18 +151,10 @@ systemctl show vernissage > /host/service.show
 poweroff -f
 """
 
-# what a boot does by itself, or what needs a system that runs already
-NOT_BEFORE_A_BOOT = {"systemctl restart systemd-modules-load", "systemctl daemon-reload",
-                     "udevadm control --reload", "udevadm trigger"}
-
-
 def installation():
-    """The commands of systemd/README.md, for a root that is not yet running."""
+    """The lines of systemd/README.md for a machine that is started then."""
     text = (ROOT / "systemd" / "README.md").read_text()
-    block = re.search(r"^```\n(install .*?)^```", text, re.S | re.M)[1]
-    commands = [command.strip() for line in block.splitlines() for command in line.split("&&")]
-    wanted = [command.replace(" --now", "") for command in commands if command not in NOT_BEFORE_A_BOOT]
-    return "set -e\ncd /host/tree\n" + "\n".join(wanted) + "\n"
+    return "set -e\ncd /host/tree\n" + re.search(r"^```\n(install .*?)^```", text, re.S | re.M)[1]
 
 
 def lay_out(folder, soak):

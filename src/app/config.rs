@@ -274,7 +274,7 @@ pub(super) fn nth_table(text: &str, header: &str, n: usize) -> usize {
     headers.nth(n.saturating_sub(1)).map_or(1, |(index, _)| index + 1)
 }
 
-/// The parser's message in one line, with the nearest valid word where it lists them.
+/// The parser's message in one line, the nearest valid word before all of them where it lists them.
 fn explain(message: &str) -> String {
     let message = message.lines().map(str::trim).filter(|l| !l.is_empty()).collect::<Vec<_>>().join(", ");
     let Some((said, valid)) = message.split_once("expected one of ").or(message.split_once(", expected `"))
@@ -286,14 +286,18 @@ fn explain(message: &str) -> String {
         if message.contains("expected one of") { quoted(valid) } else { quoted(&format!("`{valid}")) };
     let Some(word) = quoted(said).into_iter().next() else { return message };
     match nearest(&word, &valid) {
-        Some(best) => format!("{}; did you mean `{best}`?", message.trim_end_matches('.')),
+        Some(best) => {
+            let expected = message[said.len()..].trim_start_matches(", ").trim_end_matches('.');
+            format!("{}; did you mean `{best}`? ({expected})", said.trim_end_matches([',', ' ']))
+        }
         None => message,
     }
 }
 
-/// The valid word with the fewest edits to `word`.
+/// The valid word that `word` is the beginning of, else the one with the fewest edits to it.
 fn nearest<'a>(word: &str, valid: &'a [String]) -> Option<&'a str> {
-    valid.iter().map(String::as_str).min_by_key(|candidate| strsim::levenshtein(word, candidate))
+    let edits = |candidate: &&str| (!candidate.starts_with(word), strsim::levenshtein(word, candidate));
+    valid.iter().map(String::as_str).min_by_key(edits)
 }
 
 #[cfg(test)]

@@ -114,7 +114,7 @@ fn is_failure(error: &anyhow::Error) -> bool {
 }
 
 /// The error and its causes in one line; a cause that the text before it already tells is not told again.
-fn one_line(error: &anyhow::Error) -> String {
+pub(crate) fn one_line(error: &anyhow::Error) -> String {
     let mut line = String::new();
     for cause in error.chain() {
         let text = cause.to_string();

@@ -2,13 +2,15 @@
 //! it; what leaves is opened again, what changes is built aside.
 //!
 //! `watch` is the camera's thread and `ladder` what it does when the camera falters; `show` is the frame loop, `screen`
-//! a display that comes back; `settings` reads the file again when it changes, `kept` has the last good ones; `album`
-//! keeps snapshots; `tally` is what all of them count, `status` tells it.
+//! a display that comes back; `settings` reads the file again when it changes, `kept` has the last good ones, `refused`
+//! says on the screen what is wrong with a file at the start; `album` keeps snapshots; `tally` is what all of them
+//! count, `status` tells it.
 
 pub(super) mod album;
 mod figures;
 mod kept;
 mod ladder;
+mod refused;
 mod screen;
 pub(super) mod settings;
 mod show;
@@ -23,9 +25,9 @@ use super::fault::Fault;
 use super::presses::Presses;
 use super::service::Service;
 use super::wishes::Wishes;
-use super::{Failed, pool, say};
+use super::{Failed, one_line, pool, say};
 use crate::camera::{self, CameraError, Source, trace};
-use crate::display::Slate;
+use crate::display::{self, Slate};
 use crate::pipeline::governor::Governor;
 use crate::pipeline::latest;
 use crate::pixels::Size;
@@ -63,8 +65,9 @@ pub struct Args {
     /// Print the closing figures as one JSON object
     #[arg(long)]
     json: bool,
-    /// Begin without a camera or a screen that is not there yet, and wait for it; with the last good settings where the
-    /// file is cut short and the service manager gives a state directory
+    /// Begin without a camera or a screen that is not there yet, and wait for it. Where the settings file cannot be used
+    /// the screen says why; then begin with the last good one, where the service manager gives a state directory to keep
+    /// it, or else when the file is right
     #[arg(long)]
     wait: bool,
     /// Write counters, faults and latency there every second, as JSON; default: status.json in the service manager's
@@ -88,8 +91,25 @@ impl Args {
 const CLOSE: Duration = Duration::from_secs(2);
 
 pub fn run(args: Args) -> anyhow::Result<()> {
+    let service =
+        Service::start().context(Failed("cannot start the thread that reports to the service manager"))?;
+    let stop = Arc::<AtomicBool>::default();
+    let again = Arc::<AtomicBool>::default();
+    use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
+    for (signal, flag) in [(SIGTERM, &stop), (SIGINT, &stop), (SIGHUP, &again)] {
+        signal_hook::flag::register(signal, flag.clone()).context(Failed("cannot watch for signals"))?;
+    }
     let kept = Kept::open();
-    let (scenes, refused) = scenes(&args, kept.as_ref())?;
+    let (scenes, refused) = match scenes(&args, kept.as_ref()) {
+        Ok(scenes) => scenes,
+        Err(why) if args.wait && args.wishes.config.is_some() => {
+            match refused::wait(&args.wishes, why, args.files(), &service, &stop)? {
+                Some(scenes) => (scenes, None),
+                None => return Ok(()),
+            }
+        }
+        Err(error) => return Err(error),
+    };
     let (_, first) = scenes.first().context("no scene")?;
     let config = Arc::new(first.config.clone());
     let tally = Arc::<Tally>::default();
@@ -98,7 +118,7 @@ pub fn run(args: Args) -> anyhow::Result<()> {
 
     if refused.is_some() {
         tally.faults.raise(Fault::Settings);
-        words.set_refused(refused);
+        words.set_refused(refused.clone());
     }
     let source = open_camera(&config.camera, args.wait, &tally)?;
     let live = source.as_ref().is_none_or(Source::is_live);
@@ -107,7 +127,10 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     if let Some(warning) = optics.lens(&config, size).1 {
         log::warn!("{warning}");
     }
-    let screen = Screen::open(&config.display, size, args.wait, tally.clone(), words.clone())?;
+    let mut screen = Screen::open(&config.display, size, args.wait, tally.clone(), words.clone())?;
+    if let Some(why) = refused.filter(|_| config.display.sink != display::Kind::Null) {
+        refused::say(&why, &mut screen, &service, &tally, &stop)?;
+    }
     if let Some(source) = &source {
         log::info!("camera {source}, style {}", config.style.name);
         words.set_camera(source.to_string());
@@ -115,17 +138,9 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     let pipeline = optics.pipeline(first);
     let presses = Presses::new(&config, names).context(Failed("cannot listen to the buttons"))?;
     let trace = args.trace.as_deref().map(trace::Writer::create).transpose()?;
-    let service =
-        Service::start().context(Failed("cannot start the thread that reports to the service manager"))?;
     let album = Album::open(config.snapshot.as_ref(), size, tally.clone())
         .context(Failed("cannot start the thread that writes snapshots"))?;
 
-    let stop = Arc::<AtomicBool>::default();
-    let again = Arc::<AtomicBool>::default();
-    use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
-    for (signal, flag) in [(SIGTERM, &stop), (SIGINT, &stop), (SIGHUP, &again)] {
-        signal_hook::flag::register(signal, flag.clone()).context(Failed("cannot watch for signals"))?;
-    }
     let shared = Shared { tally: tally.clone(), words: words.clone(), again, kept };
     let settings = Settings::start(&args.wishes, scenes, optics.clone(), shared)
         .context(Failed("cannot start the thread that looks after the settings"))?;
@@ -203,8 +218,9 @@ fn scenes(args: &Args, kept: Option<&Kept>) -> anyhow::Result<(Scenes, Option<St
     let last =
         kept.filter(|_| args.wait).and_then(Kept::text).and_then(|text| args.wishes.scenes_of(&text).ok());
     let Some(scenes) = last else { return Err(error) };
-    log::warn!("{}: settings as they were last: {error:#}", Fault::Settings.code());
-    Ok((scenes, Some(format!("{error:#}"))))
+    let why = one_line(&error);
+    log::warn!("{}: settings as they were last: {why}", Fault::Settings.code());
+    Ok((scenes, Some(why)))
 }
 
 /// The camera; `None`: it is not there, and is to be waited for.

@@ -75,6 +75,14 @@ impl Wishes {
         })
     }
 
+    /// The display that is meant where a file says `display`.
+    pub fn shown_on(&self, mut display: display::Config) -> display::Config {
+        if let Some(word) = &self.display {
+            show(word, &mut display);
+        }
+        display
+    }
+
     /// What is said beside the file.
     fn add(&self, mut loaded: Loaded) -> anyhow::Result<Loaded> {
         let config = &mut loaded.config;
@@ -96,9 +104,7 @@ impl Wishes {
         if let Some(camera) = &self.camera {
             watch(camera, &mut config.camera);
         }
-        if let Some(display) = &self.display {
-            show(display, &mut config.display);
-        }
+        config.display = self.shown_on(std::mem::take(&mut config.display));
         if let Some(path) = &self.lens {
             config.lens = Some(LensConfig::read(path)?);
         }

@@ -122,6 +122,11 @@ impl Screen {
         }
     }
 
+    /// The pictures' size.
+    pub fn size(&self) -> Size {
+        self.canvas
+    }
+
     /// The sink, while there is one.
     pub fn sink(&mut self) -> Option<&mut Sink> {
         self.sink.as_mut()

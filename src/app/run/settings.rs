@@ -8,6 +8,7 @@ use super::status::Words;
 use super::tally::Tally;
 use crate::app::config::{Config, Loaded};
 use crate::app::fault::Fault;
+use crate::app::one_line;
 use crate::app::wishes::Wishes;
 use crate::geometry::Lens;
 use crate::pipeline::Pipeline;
@@ -227,8 +228,9 @@ impl Keeper {
         let scenes = match self.wishes.scenes() {
             Ok(scenes) => scenes,
             Err(error) => {
-                log::warn!("{}: settings stay as they were: {error:#}", Fault::Settings.code());
-                words.set_refused(Some(format!("{error:#}")));
+                let why = one_line(&error);
+                log::warn!("{}: settings stay as they were: {why}", Fault::Settings.code());
+                words.set_refused(Some(why));
                 tally.faults.raise(Fault::Settings);
                 return;
             }
