@@ -172,7 +172,7 @@ def lay_out(folder, soak):
     (tree / "board" / "rpi4.toml").write_text(VISOR)
     (host / "install.sh").write_text(installation() + INSTALL)
     script = SCRIPT
-    for word, value in {"blind": 180 if soak else 35, "steady": 600 if soak else 12, "hung": 10 if soak else 1,
+    for word, value in {"blind": 180 if soak else 35, "steady": 600 if soak else 60, "hung": 10 if soak else 1,
                         "killed": 100 if soak else 5}.items():
         script = script.replace("{%s}" % word, str(value))
     (host / "service.sh").write_text(script)
