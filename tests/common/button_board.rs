@@ -3,6 +3,8 @@
 //!
 //! Written from the protocol's text alone; shares no code with the visor.
 
+#![allow(dead_code, reason = "every test binary uses a part")]
+
 use std::collections::{HashSet, VecDeque};
 use std::ops::RangeInclusive;
 use vernissage::pixels::SplitMix64;
