@@ -8,12 +8,13 @@ mod counting;
 use clap::ValueEnum;
 use counting::{watch, watched};
 use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
 use vernissage::camera::{Synthetic, SyntheticConfig};
-use vernissage::display::Sink;
+use vernissage::display::{Menu, Sink};
 use vernissage::frame::Frame;
 use vernissage::marker::Family;
 use vernissage::pipeline::Pipeline;
-use vernissage::pixels::{Size, simd};
+use vernissage::pixels::{Rgb, Size, simd};
 use vernissage::scene::{LightConfig, ModelConfig, Scene};
 use vernissage::style::{self, StyleName};
 
@@ -66,6 +67,30 @@ fn three_hundred_frames_allocate_nothing_in_any_style() {
             assert_eq!(allocated, 0, "{name}: {allocated} allocations in 300 frames");
         }
     });
+}
+
+#[test]
+fn a_menu_over_the_picture_allocates_nothing() {
+    let _alone = alone();
+    watch();
+    let canvas = Rgb::new(Size::new(640, 480), [90; 3]);
+    let mut menu = Menu::default();
+    menu.set_lines((0..20).map(|line| format!("line {line}")).collect());
+    let mut before = 0;
+    for second in 0..300_u64 {
+        let time = Duration::from_secs(second);
+        match second % 30 {
+            0 => menu.open(time, |line| line == 3),
+            1..15 => menu.step(time),
+            _ => {} // it closes by itself
+        }
+        let shown = menu.over(&canvas, time) != &canvas;
+        assert_eq!(shown, second % 30 < 24, "{second}");
+        if second == 30 {
+            before = watched();
+        }
+    }
+    assert_eq!(watched() - before, 0);
 }
 
 #[test]

@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStdin, Command, Stdio};
 use std::sync::mpsc::{Receiver, channel};
 use std::time::{Duration, Instant};
+use vernissage::pixels::{Rgb, picture};
 
 /// How long anything may take on a busy machine.
 const PATIENCE: Duration = Duration::from_secs(20);
@@ -79,8 +80,30 @@ impl Drop for Board {
     }
 }
 
+/// A board on this terminal, where python3 is.
+fn plugged(link: &Path) -> Option<Board> {
+    let _ = std::fs::remove_file(link);
+    let board = Board::start(link);
+    if board.is_none() {
+        assert!(std::env::var_os("CI").is_none(), "no python3: the visor is not driven by a board");
+        eprintln!("NOT RUN: the visor driven by a board; install python3");
+    }
+    board
+}
+
 /// The visor, ended with the test.
 struct Visor(Child);
+
+impl Visor {
+    fn start(config: &Path) -> Self {
+        let visor = Command::new(env!("CARGO_BIN_EXE_vernissage"))
+            .args(["run", "--config"])
+            .arg(config)
+            .stdout(Stdio::null())
+            .spawn();
+        Self(visor.expect("the built binary runs"))
+    }
+}
 
 impl Drop for Visor {
     fn drop(&mut self) {
@@ -89,22 +112,17 @@ impl Drop for Visor {
     }
 }
 
-fn folder() -> PathBuf {
-    let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("board-{}", std::process::id()));
+fn folder(name: &str) -> PathBuf {
+    let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("{name}-{}", std::process::id()));
     std::fs::create_dir_all(&path).expect("a test folder");
     path
 }
 
 #[test]
 fn a_board_drives_the_visor() {
-    let folder = folder();
+    let folder = folder("board");
     let link = folder.join("tty");
-    let _ = std::fs::remove_file(&link);
-    let Some(mut board) = Board::start(&link) else {
-        assert!(std::env::var_os("CI").is_none(), "no python3: the visor is not driven by a board");
-        eprintln!("NOT RUN: the visor driven by a board; install python3");
-        return;
-    };
+    let Some(mut board) = plugged(&link) else { return };
     let config = folder.join("visor.toml");
     for scene in ["day.toml", "night.toml"] {
         std::fs::write(folder.join(scene), "").expect("a test file");
@@ -116,13 +134,7 @@ fn a_board_drives_the_visor() {
          short = \"scene-next\"\n"
     );
     std::fs::write(&config, text).expect("a test file");
-    let visor = Command::new(env!("CARGO_BIN_EXE_vernissage"))
-        .args(["run", "--config"])
-        .arg(&config)
-        .stdout(Stdio::null())
-        .spawn()
-        .expect("the built binary runs");
-    let _visor = Visor(visor);
+    let _visor = Visor::start(&config);
 
     // handshake, then the news
     board.hears("HI? 1 1");
@@ -237,4 +249,68 @@ fn a_board_drives_the_visor() {
         std::thread::sleep(Duration::from_millis(20));
     }
     assert_eq!(kept(), 1);
+}
+
+#[test]
+fn a_visitor_chooses_from_the_menu() {
+    let folder = folder("menu");
+    let link = folder.join("tty");
+    let Some(mut board) = plugged(&link) else { return };
+    let (config, pictures) = (folder.join("visor.toml"), folder.join("pictures"));
+    let _ = std::fs::remove_dir_all(&pictures);
+    let text = format!(
+        "[camera]\nsource = \"synthetic\"\nwidth = 320\nheight = 240\nfps = 10\n[camera.synthetic]\nnoise = 0\npace = 0\n\
+         [display]\nsink = \"png\"\npath = {pictures:?}\n[style]\nname = \"plain\"\ncycle = [\"plain\", \"sketch-like\"]\n\
+         fade_ms = 0\n[serial]\nport = {link:?}\n[[serial.button]]\nnumber = 1\nshort = \"menu\"\n"
+    );
+    std::fs::write(&config, text).expect("a test file");
+    let visor = Visor::start(&config);
+    board.hears("STYLE plain");
+    // a finger is slower than a pulse that is noise
+    let press = |board: &mut Board| {
+        board.order("down 1");
+        board.hears(" ACK ");
+        std::thread::sleep(Duration::from_millis(30));
+        board.order("up 1");
+        board.hears(" ACK ");
+        board.hears("ACT 1 menu ok ");
+    };
+    let hold = |board: &mut Board| {
+        board.order("down 1");
+        board.hears("ACT 1 menu ok ");
+    };
+    // opened, two lines on, and left as it was
+    (0..3).for_each(|_| press(&mut board));
+    hold(&mut board);
+    board.order("up 1");
+    board.hears(" ACK ");
+    // opened again, one line on, and chosen
+    (0..2).for_each(|_| press(&mut board));
+    hold(&mut board);
+    board.hears("STYLE sketch-like");
+    board.order("up 1");
+    board.hears(" ACK ");
+    board.hears(" HB ");
+    drop(visor);
+
+    // the pictures that were shown: plain, with a list on it twice, and drawn at the end
+    let mut files: Vec<_> =
+        std::fs::read_dir(&pictures).expect("pictures").flatten().map(|f| f.path()).collect();
+    files.sort();
+    files.pop(); // it may have been written when the visor ended
+    let mut kinds: Vec<Rgb> = Vec::new();
+    for file in files {
+        let picture = picture::read(&file).expect("a picture");
+        if kinds.last() != Some(&picture) {
+            kinds.push(picture);
+        }
+    }
+    let paper = |picture: &Rgb| {
+        let row = picture.planes[0].row(120);
+        row[160 - 90..160 + 90].iter().filter(|&&value| value == 16 || value == 200).count() == 180
+    };
+    let listed: Vec<bool> = kinds.iter().map(paper).collect();
+    assert_eq!(listed, [false, true, true, true, false, true, true, false]);
+    assert!(kinds[0] == kinds[4] && kinds[0] != kinds[7]);
+    assert!(kinds[1] == kinds[5] && kinds[2] == kinds[6] && kinds[1] != kinds[2] && kinds[2] != kinds[3]);
 }

@@ -15,6 +15,7 @@ mod fault;
 mod logging;
 mod machine;
 mod manual;
+mod menu;
 mod plan;
 mod presses;
 mod probe;

@@ -1,16 +1,18 @@
-//! What presses do to the appliance: other styles and scenes, a picture that stands still or is kept, a dark screen.
+//! What presses do to the appliance: other styles and scenes, by steps or from a menu, a picture that stands still or is
+//! kept, a dark screen.
 //!
 //! Asked between two frames; the frame that follows shows it, and its number is told to the board once it is on its
 //! way to the screen. A scene is told when it is shown.
 
 use super::config::Config as Visor;
 use super::fault::Fault;
+use super::menu::{Choice, Choices};
 use super::run::album::Album;
 use super::run::settings::{Cause, Settings};
 use super::run::tally::Tally;
 use crate::buttons::keys::Keys;
 use crate::buttons::{Action, Ask, Config, Kind, Markers, Mode, Outcome, Port, Status};
-use crate::frame::Sighting;
+use crate::frame::{Sighting, now};
 use crate::pipeline::Pipeline;
 use crate::pixels::{Rgb, Size};
 use crate::style::{self, StyleName};
@@ -39,6 +41,15 @@ struct Done {
     button: u8,
     action: Option<Action>,
     outcome: Outcome,
+}
+
+/// What presses act on.
+pub struct Reach<'a> {
+    pub pipeline: &'a mut Pipeline,
+    pub settings: Option<&'a Settings>,
+    pub album: &'a mut Album,
+    pub menu: &'a mut Choices,
+    pub tally: &'a Tally,
 }
 
 /// The buttons, and what they have done.
@@ -89,63 +100,79 @@ impl Presses {
     }
 
     /// Does what was asked since the last frame. Never waits.
-    pub fn act(
-        &mut self,
-        pipeline: &mut Pipeline,
-        settings: Option<&Settings>,
-        album: &mut Album,
-        tally: &Tally,
-    ) {
+    pub fn act(&mut self, mut reach: Reach<'_>) {
         let mut asked = std::mem::take(&mut self.asked);
         asked.extend(self.port.iter().flat_map(Port::asked));
         asked.extend(self.keys.iter().flat_map(Keys::asked));
         for ask in asked.drain(..) {
             match ask {
-                Ask::Press(button, kind) => self.press(button, kind, pipeline, settings, album, tally),
+                Ask::Press(button, kind) => self.press(button, kind, &mut reach),
                 Ask::Style(index) => {
                     if let Some(&name) = StyleName::value_variants().get(index) {
-                        pipeline.switch(&style::Config { name, ..self.style.clone() });
-                        self.still = Still::No;
+                        self.show(name, reach.pipeline);
                     }
                 }
                 Ask::Standby(on) => self.still = if on { Still::Dark } else { Still::No },
                 Ask::Scene(scene) => {
                     // a full queue is one of wishes that nobody has seen fulfilled: the next one counts
-                    let _ = settings.map(|settings| settings.ask(scene));
+                    let _ = reach.settings.map(|settings| settings.ask(scene));
                 }
                 Ask::Shot => {
-                    album.want();
+                    reach.album.want();
                 }
             }
         }
-        tally.standby.set(u64::from(self.sleeps()));
+        if self.sleeps() {
+            reach.menu.close();
+        }
+        reach.tally.standby.set(u64::from(self.sleeps()));
         self.asked = asked;
     }
 
-    fn press(
-        &mut self,
-        button: u8,
-        kind: Kind,
-        pipeline: &mut Pipeline,
-        settings: Option<&Settings>,
-        album: &mut Album,
-        tally: &Tally,
-    ) {
-        let action = self.config.action(button, kind);
+    fn press(&mut self, button: u8, kind: Kind, reach: &mut Reach<'_>) {
+        let time = now();
+        let choosing = self.config.chooses(button) && reach.menu.is_open(time);
+        let action = if choosing { Some(Action::Menu) } else { self.config.action(button, kind) };
         let mut done = Done { button, action, outcome: Outcome::Ignored };
         match action {
-            Some(Action::SceneNext) if !self.sleeps() && self.scenes > 1 => {
-                let next = (tally.scene.get() as usize + 1 + self.waiting.len()) % self.scenes;
-                if settings.is_some_and(|settings| settings.ask(next)) && self.waiting.len() < 16 {
-                    return self.waiting.push(done);
+            Some(Action::Menu) if choosing => match reach.menu.pressed(kind, time) {
+                Some(Choice::Scene(scene)) if scene != reach.tally.scene.get() as usize => {
+                    return self.change(scene, done, reach);
                 }
-                done.outcome = Outcome::Error;
+                Some(Choice::Style(style)) if style != reach.pipeline.style() => {
+                    self.show(style, reach.pipeline);
+                    done.outcome = Outcome::Ok;
+                }
+                _ => done.outcome = Outcome::Ok,
+            },
+            Some(Action::Menu) if !self.sleeps() => {
+                reach.menu.open(time, reach.pipeline.style(), reach.tally.scene.get() as usize);
+                done.outcome = Outcome::Ok;
             }
-            Some(Action::Snapshot) if !self.sleeps() && album.want() => done.outcome = Outcome::Ok,
-            Some(action) => done.outcome = self.perform(action, pipeline),
+            Some(Action::SceneNext) if !self.sleeps() && self.scenes > 1 => {
+                let next = (reach.tally.scene.get() as usize + 1 + self.waiting.len()) % self.scenes;
+                return self.change(next, done, reach);
+            }
+            Some(Action::Snapshot) if !self.sleeps() && reach.album.want() => done.outcome = Outcome::Ok,
+            Some(action) => done.outcome = self.perform(action, reach.pipeline),
             None => {}
         }
         self.done.push(done);
+    }
+
+    /// Another style, whatever stood still.
+    fn show(&mut self, name: StyleName, pipeline: &mut Pipeline) {
+        pipeline.switch(&style::Config { name, ..self.style.clone() });
+        self.still = Still::No;
+    }
+
+    /// Asks for a scene; told when it is shown.
+    fn change(&mut self, scene: usize, done: Done, reach: &Reach<'_>) {
+        if reach.settings.is_some_and(|settings| settings.ask(scene)) && self.waiting.len() < 16 {
+            self.waiting.push(done);
+        } else {
+            self.done.push(Done { outcome: Outcome::Error, ..done });
+        }
     }
 
     fn perform(&mut self, action: Action, pipeline: &mut Pipeline) -> Outcome {
@@ -166,7 +193,7 @@ impl Presses {
             Action::Freeze => self.still = if self.still == Still::No { Still::Wanted } else { Still::No },
             Action::Standby => self.still = Still::Dark,
             // one scene only, or nothing is ever kept
-            Action::SceneNext | Action::Snapshot => return Outcome::Ignored,
+            Action::SceneNext | Action::Snapshot | Action::Menu => return Outcome::Ignored,
         }
         Outcome::Ok
     }

@@ -22,6 +22,7 @@ pub(super) use status::mode;
 
 use super::config::Loaded;
 use super::fault::Fault;
+use super::menu::Choices;
 use super::presses::Presses;
 use super::service::Service;
 use super::wishes::Wishes;
@@ -136,6 +137,7 @@ pub fn run(args: Args) -> anyhow::Result<()> {
         words.set_camera(source.to_string());
     }
     let pipeline = optics.pipeline(first);
+    let menu = Choices::new(&config.style, names.clone());
     let presses = Presses::new(&config, names).context(Failed("cannot listen to the buttons"))?;
     let trace = args.trace.as_deref().map(trace::Writer::create).transpose()?;
     let album = Album::open(config.snapshot.as_ref(), size, tally.clone())
@@ -153,6 +155,7 @@ pub fn run(args: Args) -> anyhow::Result<()> {
         optics,
         screen,
         presses,
+        menu,
         album,
         settings: Some(settings),
         trace,

@@ -37,6 +37,12 @@ pub struct ButtonConfig {
     pub double: Option<Action>,
 }
 
+impl ButtonConfig {
+    fn opens_menu(&self) -> bool {
+        [self.short, self.long, self.double].contains(&Some(Action::Menu))
+    }
+}
+
 /// What a press may do.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
@@ -53,6 +59,8 @@ pub enum Action {
     SceneNext,
     /// The picture is kept, where `[snapshot]` says so.
     Snapshot,
+    /// A list of styles and scenes: while it is open, short presses of this button step through it, a long one chooses.
+    Menu,
 }
 
 impl Action {
@@ -65,6 +73,7 @@ impl Action {
             Action::Standby => "standby",
             Action::SceneNext => "scene-next",
             Action::Snapshot => "snapshot",
+            Action::Menu => "menu",
         }
     }
 }
@@ -116,15 +125,21 @@ impl Config {
         Ok(())
     }
 
-    /// The kinds of presses that mean something, button by button from 1.
+    /// The kinds of presses that mean something, button by button from 1: what opens the menu chooses from it.
     pub fn wanted(&self) -> Vec<Wanted> {
         let mut wanted = vec![Wanted::default(); 32];
         for button in &self.button {
             if let Some(wanted) = wanted.get_mut(usize::from(button.number).wrapping_sub(1)) {
-                *wanted = Wanted { long: button.long.is_some(), double: button.double.is_some() };
+                let long = button.long.is_some() || button.opens_menu();
+                *wanted = Wanted { long, double: button.double.is_some() };
             }
         }
         wanted
+    }
+
+    /// Whether presses of a button choose while the menu is open.
+    pub fn chooses(&self, button: u8) -> bool {
+        self.button.iter().any(|own| own.number == button && own.opens_menu())
     }
 
     /// What a press of a button means, if anything.

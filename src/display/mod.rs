@@ -16,6 +16,7 @@ mod flips;
 #[cfg(target_os = "linux")]
 mod kms;
 mod layout;
+mod menu;
 mod png_dir;
 mod slate;
 mod xrgb;
@@ -25,6 +26,7 @@ pub use config::{Config, Filter, Kind, ModeSize, Scale};
 #[cfg(target_os = "linux")]
 pub use kms::Kms;
 pub use layout::{Layout, Rotate};
+pub use menu::Menu;
 pub use png_dir::PngDir;
 pub use slate::Slate;
 pub use xrgb::{Composer, Xrgb, compose};

@@ -6,12 +6,12 @@ use std::f32::consts::TAU;
 use tiny_skia::{FillRule, Mask, PathBuilder, Rect, Transform};
 
 /// Gray of words and dots, and of what is behind them: nobody is dazzled in a dark room.
-const INK: u8 = 200;
-const PAPER: u8 = 16;
+pub(super) const INK: u8 = 200;
+pub(super) const PAPER: u8 = 16;
 /// Dots of the wheel.
 const DOTS: u32 = 8;
 /// Side of a letter in letter pixels.
-const GLYPH: usize = 8;
+pub(super) const GLYPH: usize = 8;
 
 /// Draws slates of one size. Words are drawn when they change, the wheel every time: a slate costs little while the
 /// camera is away for days.

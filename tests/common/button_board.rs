@@ -167,7 +167,8 @@ impl Through {
     }
 }
 
-/// A press is entered after so many looks at least: a board that is looked at late says late what it had to say.
+/// Nothing is entered or forgotten sooner than after so many looks: a board that is looked at late says late what it had
+/// to say.
 const LOOKS: u64 = 200;
 
 /// How somebody presses, ms.
@@ -202,8 +203,8 @@ pub struct Player {
     recent: Vec<Made>,
     through: Through,
     last_up: u64,
-    /// When what was said longest ago is forgotten.
-    forget: u64,
+    /// When what was said longest ago is forgotten, ms and looks.
+    forget: (u64, u64),
     looks: u64,
     pub made: u64,
     /// Presses that were shown to the visor, by button.
@@ -212,8 +213,9 @@ pub struct Player {
     pub hidden: u64,
     /// Presses while which the line was down: they may count or not.
     pub doubtful: u64,
-    /// Broken frames with a good checksum.
+    /// Broken frames with a good checksum, while somebody listened and while nobody did.
     pub forged: u64,
+    pub unheard: u64,
 }
 
 impl Player {
@@ -237,13 +239,14 @@ impl Player {
             recent: Vec::new(),
             through: Through::default(),
             last_up: 0,
-            forget: 0,
+            forget: (0, 0),
             looks: 0,
             made: 0,
             known: [0; 3],
             hidden: 0,
             doubtful: 0,
             forged: 0,
+            unheard: 0,
         }
     }
 
@@ -293,9 +296,15 @@ impl Player {
     /// These bytes of the board are before the visor; `up`: whether it listens.
     pub fn delivered(&mut self, bytes: &[u8], up: bool) {
         let bodies = self.through.bodies(bytes);
-        for body in bodies.iter().filter(|_| up) {
+        for body in &bodies {
             if !self.board.said.iter().any(|said| said.contains(body)) {
-                self.forged += 1;
+                match up {
+                    true => self.forged += 1,
+                    false => self.unheard += 1,
+                }
+                continue;
+            }
+            if !up {
                 continue;
             }
             let origin = self.board.origin;
@@ -327,8 +336,8 @@ impl Player {
 
     /// Enters presses that were over `late` ms ago: what was shown of them by now is all, unless nobody looked meanwhile.
     pub fn settle(&mut self, now: u64, late: u64) {
-        if now >= self.forget {
-            self.forget = now + late;
+        if now >= self.forget.0 && self.looks >= self.forget.1 {
+            self.forget = (now + late, self.looks + LOOKS);
             self.board.said.swap(0, 1);
             self.board.said[0].clear();
         }

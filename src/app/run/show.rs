@@ -9,7 +9,8 @@ use super::watch::{self, Captured};
 use crate::app::Failed;
 use crate::app::config::Config;
 use crate::app::fault::Fault;
-use crate::app::presses::Presses;
+use crate::app::menu::Choices;
+use crate::app::presses::{Presses, Reach};
 use crate::app::service::Service;
 use crate::camera::{RawRef, trace};
 use crate::display::{self, Shown, Slate};
@@ -40,6 +41,8 @@ pub struct Show {
     pub optics: Optics,
     pub screen: Screen,
     pub presses: Presses,
+    /// Over the picture, while somebody chooses.
+    pub menu: Choices,
     pub album: Album,
     /// None where nothing changes while it runs.
     pub settings: Option<Settings>,
@@ -116,7 +119,8 @@ impl Show {
     /// Between two frames: presses, and what has become ready.
     fn between(&mut self) {
         self.renew();
-        self.presses.act(&mut self.pipeline, self.settings.as_ref(), &mut self.album, &self.tally);
+        let Self { pipeline, settings, album, menu, tally, .. } = self;
+        self.presses.act(Reach { pipeline, settings: settings.as_ref(), album, menu, tally });
         let style = self.pipeline.style();
         if style != self.tally.style() {
             self.governor.iter_mut().for_each(|governor| governor.forget(now()));
@@ -143,6 +147,7 @@ impl Show {
             settings.retire(old);
         }
         self.presses.taken(&config, cause);
+        self.menu.set_style(&config.style);
         // the new pipeline begins in full
         self.governor = config.governor.as_ref().map(Governor::new);
         self.tally.quality.set(0);
@@ -164,7 +169,7 @@ impl Show {
 
     /// Draws and shows one picture, or what stands still instead; `None` while there is no screen.
     fn draw(&mut self, frame: &Frame, timings: &mut Timings) -> anyhow::Result<Option<Drawn>> {
-        let Self { pipeline, screen, presses, album, governor, tally, .. } = self;
+        let Self { pipeline, screen, presses, menu, album, governor, tally, .. } = self;
         let still = presses.stands_still(frame.size());
         let mut fades = false;
         let (canvas, markers): (&Rgb, usize) = if still {
@@ -177,7 +182,7 @@ impl Show {
             (drawn.canvas, drawn.sightings.len())
         };
         let taken = album.picture(frame.sequence, canvas);
-        let shown = timings.measure(Stage::Show, || screen.present(canvas));
+        let shown = timings.measure(Stage::Show, || screen.present(menu.over(canvas, now())));
         let shown = shown.context(Failed("cannot show the picture"))?;
         if let Some(taken) = taken {
             presses.kept(taken);
@@ -290,6 +295,7 @@ mod tests {
             pipeline: Box::new(pipeline),
             screen: Screen::open(&config.display, size, false, tally.clone(), words).expect("a folder"),
             presses: Presses::new(&config, Vec::new()).expect("no buttons"),
+            menu: Choices::new(&config.style, Vec::new()),
             album: Album::open(None, size, tally.clone()).expect("no album"),
             config: Arc::new(config),
             optics,
