@@ -107,8 +107,29 @@ fn a_board_that_began_anew_is_listened_to_at_once() {
         assert_eq!(tell(&mut link, &["01 STATE 2 0 300"], 30_400), []);
         assert_eq!(tell(&mut link, &["02 BTN 2 U 400", "03 BTN 2 D 500"], 30_600), PRESS);
     }
-    // without a greeting three times that agree are needed: one may be a broken frame
+    // without a greeting two states are needed: one may be a broken frame, and edges may be old ones
     let mut link = up();
     assert_eq!(tell(&mut link, &["10 STATE 0 0 31000"], 30_000), []);
-    assert_eq!(tell(&mut link, &["11 BTN 2 D 300", "12 STATE 2 0 300", "11 BTN 2 D 300"], 30_100), PRESS);
+    assert_eq!(tell(&mut link, &["11 BTN 2 D 300", "12 STATE 2 0 300", "11 BTN 2 D 300"], 30_100), []);
+    assert_eq!(tell(&mut link, &["11 BTN 2 D 300", "13 STATE 2 0 350"], 30_200), PRESS);
+}
+
+/// A board that was held up for seconds goes on where it was: it says the time it is, and sends again what is old.
+#[test]
+fn edges_of_long_ago_are_no_news() {
+    for hello in [None, Some("15 HELLO 1 5F3A01C2 1.4.0 3 1 0003")] {
+        let mut link = up();
+        assert_eq!(tell(&mut link, &["10 BTN 2 D 1100", "12 BTN 2 U 1150"], 150), PRESS);
+        assert_eq!(tell(&mut link, &["14 STATE 0 0 1200"], 200), []);
+        let mut bodies: Vec<String> = hello.map(Into::into).into_iter().collect();
+        bodies.push("16 STATE 0 0 21000".into());
+        // more messages than are remembered
+        bodies.extend((0..20).map(|k| format!("{:02X} STATE 0 0 {}", 32 + k, 21_010 + k)));
+        for _ in 0..4 {
+            bodies.extend(["10 BTN 2 D 1100", "12 BTN 2 U 1150", "0E BTN 2 D 1000"].map(Into::into));
+        }
+        let bodies: Vec<&str> = bodies.iter().map(String::as_str).collect();
+        assert_eq!(tell(&mut link, &bodies, 20_000), [], "{hello:?}");
+        assert_eq!(tell(&mut link, &["50 BTN 2 D 21100", "51 BTN 2 U 21200"], 20_200), PRESS, "{hello:?}");
+    }
 }

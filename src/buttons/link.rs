@@ -24,8 +24,8 @@ const REPEATS: usize = 16;
 const STRAY_MS: i32 = 3000;
 /// As far before the newest comes what a board that goes on sends again after 50, 100 and 200 ms, ms.
 const RESENT_MS: i32 = 500;
-/// So many strays one after the other are no broken bytes: the clock was set anew.
-const STRAYS: u32 = 3;
+/// So many states one after the other whose time cannot be are no broken bytes: the clock was set anew.
+const STRAYS: u32 = 2;
 /// Bytes that may wait for a slow port; what else there is to say is left out.
 const BACKLOG: usize = 4096;
 /// Bit of a chattering button in the fault mask; the visor's own faults have the bits below.
@@ -89,7 +89,7 @@ pub struct Link {
     clock: Option<Clock>,
     /// A greeting or an opening came since the last time heard: the board may have begun anew.
     anew: bool,
-    /// Messages in a row whose time cannot be.
+    /// States in a row whose time cannot be.
     strays: u32,
     /// How many buttons the board has.
     buttons: u8,
@@ -298,9 +298,10 @@ impl Link {
             return; // the board resends, and its state heals what it does not
         }
         let again = self.repeats.contains(&Some((seq, crc)));
+        let is_state = matches!(heard, Heard::State { .. });
         if let Heard::Button { at, .. } | Heard::Encoder { at, .. } | Heard::State { at, .. } = heard
             && !again
-            && !self.believes(at, now)
+            && !self.believes(at, now, is_state)
         {
             return;
         }
@@ -373,8 +374,9 @@ impl Link {
     }
 
     /// Takes the board's clock from a message; `false` when that time cannot be: a checksum of 16 bits lets one broken
-    /// frame in 65536 through. What is late, on its way or here, is believed.
-    fn believes(&mut self, at: u32, now: Duration) -> bool {
+    /// frame in 65536 through. What is late, on its way or here, is believed. That the clock was set anew is told by
+    /// states alone: an edge may be sent again by a board that was held up for long.
+    fn believes(&mut self, at: u32, now: Duration, is_state: bool) -> bool {
         let mut stands = at;
         if let Some(Clock { newest, heard, stood }) = self.clock {
             let since = now.saturating_sub(heard).as_millis() as u32;
@@ -382,8 +384,8 @@ impl Link {
             let (off, ahead) =
                 (at.wrapping_sub(newest) as i32, at.wrapping_sub(stood.wrapping_add(since)) as i32);
             if off < -back || ahead > STRAY_MS {
-                self.strays += 1;
-                if self.strays < STRAYS && !self.anew {
+                self.strays += u32::from(is_state);
+                if !is_state || (self.strays < STRAYS && !self.anew) {
                     return false;
                 }
                 self.presses.release(&mut self.told);
