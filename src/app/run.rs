@@ -94,16 +94,12 @@ const CLOSE: Duration = Duration::from_secs(2);
 pub fn run(args: Args) -> anyhow::Result<()> {
     let service =
         Service::start().context(Failed("cannot start the thread that reports to the service manager"))?;
-    let stop = Arc::<AtomicBool>::default();
-    let again = Arc::<AtomicBool>::default();
-    use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
-    for (signal, flag) in [(SIGTERM, &stop), (SIGINT, &stop), (SIGHUP, &again)] {
-        signal_hook::flag::register(signal, flag.clone()).context(Failed("cannot watch for signals"))?;
-    }
+    let (stop, again) = (Arc::<AtomicBool>::default(), Arc::<AtomicBool>::default());
     let kept = Kept::open();
     let (scenes, refused) = match scenes(&args, kept.as_ref()) {
         Ok(scenes) => scenes,
         Err(why) if args.wait && args.wishes.config.is_some() => {
+            heed_signals(&stop, &again)?;
             match refused::wait(&args.wishes, why, args.files(), &service, &stop)? {
                 Some(scenes) => (scenes, None),
                 None => return Ok(()),
@@ -129,9 +125,6 @@ pub fn run(args: Args) -> anyhow::Result<()> {
         log::warn!("{warning}");
     }
     let mut screen = Screen::open(&config.display, size, args.wait, tally.clone(), words.clone())?;
-    if let Some(why) = refused.filter(|_| config.display.sink != display::Kind::Null) {
-        refused::say(&why, &mut screen, &service, &tally, &stop)?;
-    }
     if let Some(source) = &source {
         log::info!("camera {source}, style {}", config.style.name);
         words.set_camera(source.to_string());
@@ -143,6 +136,10 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     let album = Album::open(config.snapshot.as_ref(), size, tally.clone())
         .context(Failed("cannot start the thread that writes snapshots"))?;
 
+    heed_signals(&stop, &again)?;
+    if let Some(why) = refused.filter(|_| config.display.sink != display::Kind::Null) {
+        refused::say(&why, &mut screen, &service, &tally, &stop)?;
+    }
     let shared = Shared { tally: tally.clone(), words: words.clone(), again, kept };
     let settings = Settings::start(&args.wishes, scenes, optics.clone(), shared)
         .context(Failed("cannot start the thread that looks after the settings"))?;
@@ -199,6 +196,15 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     drop(reporter);
     done?;
     if args.json { say(figures::json(&tally)) } else { say(figures::line(&tally)) }
+}
+
+/// From now on signals are wishes. Not sooner than there is somebody to fulfil them: opening a pipe may wait for ever.
+fn heed_signals(stop: &Arc<AtomicBool>, again: &Arc<AtomicBool>) -> anyhow::Result<()> {
+    use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
+    for (signal, flag) in [(SIGTERM, stop), (SIGINT, stop), (SIGHUP, again)] {
+        signal_hook::flag::register(signal, flag.clone()).context(Failed("cannot watch for signals"))?;
+    }
+    Ok(())
 }
 
 /// Scenes by name.
