@@ -8,6 +8,7 @@ buttons  An emulated USB serial adapter with the button board's simulator behind
 """
 
 import json
+import shutil
 import time
 from board import PLAIN_KERNEL, STEADY_CLOCK, Board, Buttons, check, note, read_png, read_ppm, run
 from recover import Witness, spread
@@ -51,7 +52,8 @@ looked() { echo BOARD: look-$1; until [ -e /host/done-$1 ]; do sleep .2; done; }
 
 vernissage run --wait --config /host/plugs.toml --status /tmp/status.json > /tmp/plugs.out 2> /tmp/plugs.err &
 pid=$!
-sleep 3
+# its files come from the other machine, which has a clock of its own
+until grep -q '"shown": [1-9]' /tmp/status.json; do kill -0 $pid || break; sleep .2; done 2> /dev/null
 looked first
 for n in $(seq {times}); do
   cable off; sleep 1.7
@@ -147,6 +149,8 @@ def screen(host_binary, folder, full):
     (host / "camera").write_text("node_types=0x1 num_inputs=1 input_types=0x0\n")
     board = Board(folder, "screen", [*PLAIN_KERNEL, *STEADY_CLOCK])
     path, true, others = folder / "plugs.ppm", [], []
+    for old in folder.glob("plugs-*.ppm"):
+        old.unlink()
 
     def looks(name):
         if not board.wait_for(f"look-{name}", 300):
@@ -157,6 +161,9 @@ def screen(host_binary, folder, full):
             others.append(shown is not None and shown[2] == b"\x40\x80\xc0" * (shown[0] * shown[1]))
         else:
             true.append(shown == expected)
+            if not true[-1]:
+                shutil.copy(path, folder / f"plugs-{name}.ppm")
+                note(f"{name}: another picture, kept as plugs-{name}.ppm")
         (host / f"done-{name}").touch()
         return True
 
