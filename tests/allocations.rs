@@ -10,7 +10,7 @@ use counting::{watch, watched};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 use vernissage::camera::{Synthetic, SyntheticConfig};
-use vernissage::display::{Menu, Sink};
+use vernissage::display::{Menu, Seen, Sink};
 use vernissage::frame::Frame;
 use vernissage::marker::Family;
 use vernissage::pipeline::Pipeline;
@@ -84,7 +84,7 @@ fn a_menu_over_the_picture_allocates_nothing() {
             1..15 => menu.step(time),
             _ => {} // it closes by itself
         }
-        let shown = menu.over(&canvas, time) != &canvas;
+        let shown = menu.over(&canvas, Seen::all(canvas.size()), time) != &canvas;
         assert_eq!(shown, second % 30 < 24, "{second}");
         if second == 30 {
             before = watched();

@@ -261,7 +261,8 @@ fn a_visitor_chooses_from_the_menu() {
     let text = format!(
         "[camera]\nsource = \"synthetic\"\nwidth = 320\nheight = 240\nfps = 10\n[camera.synthetic]\nnoise = 0\npace = 0\n\
          [display]\nsink = \"png\"\npath = {pictures:?}\n[style]\nname = \"plain\"\ncycle = [\"plain\", \"sketch-like\"]\n\
-         fade_ms = 0\n[serial]\nport = {link:?}\n[[serial.button]]\nnumber = 1\nshort = \"menu\"\n"
+         fade_ms = 0\n[serial]\nport = {link:?}\n[[serial.button]]\nnumber = 1\nshort = \"menu\"\n\
+         [[serial.button]]\nnumber = 2\nshort = \"style-previous\"\ndouble = \"menu\"\n"
     );
     std::fs::write(&config, text).expect("a test file");
     let visor = Visor::start(&config);
@@ -291,9 +292,14 @@ fn a_visitor_chooses_from_the_menu() {
     board.order("up 1");
     board.hears(" ACK ");
     board.hears(" HB ");
+    // held down, a button that means nothing by it does what a short press does: the menu is closed
+    board.order("down 2");
+    board.hears("ACT 2 style-previous ok ");
+    board.order("up 2");
+    board.hears(" HB ");
     drop(visor);
 
-    // the pictures that were shown: plain, with a list on it twice, and drawn at the end
+    // the pictures that were shown: plain, with a list on it twice, drawn, and plain at the end
     let mut files: Vec<_> =
         std::fs::read_dir(&pictures).expect("pictures").flatten().map(|f| f.path()).collect();
     files.sort();
@@ -310,7 +316,7 @@ fn a_visitor_chooses_from_the_menu() {
         row[160 - 90..160 + 90].iter().filter(|&&value| value == 16 || value == 200).count() == 180
     };
     let listed: Vec<bool> = kinds.iter().map(paper).collect();
-    assert_eq!(listed, [false, true, true, true, false, true, true, false]);
-    assert!(kinds[0] == kinds[4] && kinds[0] != kinds[7]);
+    assert_eq!(listed, [false, true, true, true, false, true, true, false, false]);
+    assert!(kinds[0] == kinds[4] && kinds[0] != kinds[7] && kinds[0] == kinds[8]);
     assert!(kinds[1] == kinds[5] && kinds[2] == kinds[6] && kinds[1] != kinds[2] && kinds[2] != kinds[3]);
 }

@@ -1,7 +1,7 @@
 //! What a visitor may choose from the menu: the styles of the visor, its scenes, and the way back.
 
 use crate::buttons::Kind;
-use crate::display::Menu;
+use crate::display::{Menu, Seen};
 use crate::pixels::Rgb;
 use crate::style::{self, StyleName};
 use clap::ValueEnum;
@@ -76,9 +76,9 @@ impl Choices {
         self.menu.close();
     }
 
-    /// The picture as it is to be shown at `time`.
-    pub fn over<'a>(&'a mut self, picture: &'a Rgb, time: Duration) -> &'a Rgb {
-        self.menu.over(picture, time)
+    /// The picture as it is to be shown at `time` on a screen that shows this part of it.
+    pub fn over<'a>(&'a mut self, picture: &'a Rgb, seen: Seen, time: Duration) -> &'a Rgb {
+        self.menu.over(picture, seen, time)
     }
 }
 

@@ -132,6 +132,7 @@ impl Presses {
     fn press(&mut self, button: u8, kind: Kind, reach: &mut Reach<'_>) {
         let time = now();
         let choosing = self.config.chooses(button) && reach.menu.is_open(time);
+        let kind = if choosing { kind } else { self.config.meant(button, kind) };
         let action = if choosing { Some(Action::Menu) } else { self.config.action(button, kind) };
         let mut done = Done { button, action, outcome: Outcome::Ignored };
         match action {

@@ -142,6 +142,17 @@ impl Config {
         self.button.iter().any(|own| own.number == button && own.opens_menu())
     }
 
+    /// The press that is meant while the menu is closed: one held down is only told from a short one for the menu where
+    /// it means nothing of its own.
+    pub fn meant(&self, button: u8, kind: super::Kind) -> super::Kind {
+        match kind {
+            super::Kind::Long if self.chooses(button) && self.action(button, kind).is_none() => {
+                super::Kind::Short
+            }
+            kind => kind,
+        }
+    }
+
     /// What a press of a button means, if anything.
     pub fn action(&self, button: u8, kind: super::Kind) -> Option<Action> {
         let own = self.button.iter().find(|own| own.number == button)?;

@@ -49,6 +49,23 @@ impl Layout {
         Size::new(turned.width * (1 + usize::from(self.stereo)), turned.height)
     }
 
+    /// What a screen of `mode` pixels shows of the canvas.
+    pub fn seen(&self, canvas: Size, mode: Size) -> Seen {
+        let (turned, eye) = (self.turned(canvas), self.eye(mode));
+        match self.scale {
+            Scale::OneToOne => {
+                let part = Size::new(turned.width.min(eye.width), turned.height.min(eye.height));
+                // turned back, which is as far
+                Seen { size: self.turned(part), shrink: 1 }
+            }
+            Scale::Fit => {
+                let share = |from: usize, to: usize| from.div_ceil(to.max(1)).max(1);
+                let shrink = share(turned.width, eye.width).max(share(turned.height, eye.height));
+                Seen { size: canvas, shrink }
+            }
+        }
+    }
+
     /// Whether the canvas is not shown the way it is.
     pub fn turns(&self) -> bool {
         self.rotate != Rotate::None || self.mirror
@@ -100,6 +117,22 @@ impl Layout {
                 }
             });
         }
+    }
+}
+
+/// The part of a canvas that a screen shows: what is to be read lies in it, in strokes wide enough.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Seen {
+    /// Size of the part, px of the canvas, in whose middle it lies.
+    pub size: Size,
+    /// So many pixels of the canvas in a row, at most, become one of the screen's; 1 or more.
+    pub shrink: usize,
+}
+
+impl Seen {
+    /// All of a canvas of this size, as it is.
+    pub fn all(size: Size) -> Self {
+        Self { size, shrink: 1 }
     }
 }
 
@@ -205,6 +238,16 @@ mod tests {
         let layout = Layout { rotate: Rotate::Left, stereo: true, ..Layout::default() };
         assert_eq!((layout.turned(size), layout.mode(size)), (Size::new(480, 640), Size::new(960, 640)));
         assert_eq!(layout.eye(Size::new(1281, 720)), Size::new(640, 720));
+        let seen = |layout: Layout, width, height| {
+            let Seen { size, shrink } = layout.seen(size, Size::new(width, height));
+            (size.width, size.height, shrink)
+        };
+        // turned by a quarter and twice: an eye of 480 x 300 pixels sees 300 of the canvas's 640 columns
+        assert_eq!(seen(layout, 960, 300), (300, 480, 1));
+        assert_eq!(seen(layout, 4000, 3000), (640, 480, 1));
+        let fit = Layout { scale: Scale::Fit, ..layout };
+        assert_eq!((seen(fit, 480, 640), seen(fit, 960, 300)), ((640, 480, 2), (640, 480, 3)));
+        assert_eq!(seen(fit, 4000, 3000), (640, 480, 1));
         assert!(Rotate::try_from(45).is_err_and(|e| e.contains("0, 90, 180 or 270")));
     }
 }

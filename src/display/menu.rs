@@ -3,6 +3,7 @@
 //! Drawn straight into a copy of the picture, letter pixels as squares: nothing is allocated but that copy, and nothing
 //! is done while the list is closed.
 
+use super::Seen;
 use super::slate::{GLYPH, INK, PAPER};
 use crate::pixels::{Rgb, Size};
 use font8x8::{BASIC_FONTS, UnicodeFonts};
@@ -62,11 +63,11 @@ impl Menu {
         }
     }
 
-    /// The picture with the list on it, or as it is while the list is closed.
-    pub fn over<'a>(&'a mut self, picture: &'a Rgb, time: Duration) -> &'a Rgb {
+    /// The picture with the list on it, in the part of it that is `seen`, or as it is while the list is closed.
+    pub fn over<'a>(&'a mut self, picture: &'a Rgb, seen: Seen, time: Duration) -> &'a Rgb {
         let Some(chosen) = self.chosen(time) else { return picture };
         self.picture.copy_from(picture);
-        let place = Place::of(picture.size(), self.lines.len(), chosen);
+        let place = Place::of(picture.size(), seen, self.lines.len(), chosen);
         for row in 0..place.rows {
             let line = place.first + row;
             place.draw(&mut self.picture, row, &self.lines[line], self.now[line], line == chosen);
@@ -89,11 +90,12 @@ struct Place {
 
 impl Place {
     /// In the middle, as large as goes; the chosen line is among those seen.
-    fn of(size: Size, lines: usize, chosen: usize) -> Self {
-        let zoom = (size.width / (GLYPH * LETTERS)).min(size.height / (LINE * 8)).max(1);
-        let rows = (size.height / (LINE * zoom)).min(lines);
+    fn of(size: Size, seen: Seen, lines: usize, chosen: usize) -> Self {
+        let Seen { size: part, shrink } = seen;
+        let zoom = (part.width / (GLYPH * LETTERS)).min(part.height / (LINE * 8)).max(shrink);
+        let rows = (part.height / (LINE * zoom)).min(lines);
         let first = (chosen + 1).saturating_sub(rows.div_ceil(2)).min(lines - rows);
-        let width = (GLYPH * LETTERS * zoom).min(size.width);
+        let width = (GLYPH * LETTERS * zoom).min(part.width);
         let (left, top) = ((size.width - width) / 2, (size.height - rows * LINE * zoom) / 2);
         Self { zoom, left, top, width, first, rows }
     }
@@ -165,7 +167,8 @@ mod tests {
                 let mut bars = Vec::new();
                 for step in 0..count {
                     assert_eq!(menu.chosen(START), Some((count / 2 + step) % count));
-                    let (top, bottom) = bar(menu.over(&canvas, START)).expect("the chosen line is seen");
+                    let (top, bottom) =
+                        bar(menu.over(&canvas, Seen::all(size), START)).expect("the chosen line is seen");
                     assert!(bottom - top < size.height.min(300), "one line");
                     bars.push(top);
                     menu.step(START);
@@ -187,18 +190,45 @@ mod tests {
             canvas.planes[2].row_mut(y).iter_mut().enumerate().for_each(|(x, value)| *value = (x ^ y) as u8);
         }
         let mut menu = menu(3);
-        let closed = menu.over(&canvas, START).clone();
+        let all = Seen::all(size);
+        let closed = menu.over(&canvas, all, START).clone();
         assert_eq!(closed, canvas);
         menu.open(START, |_| false);
-        let without = menu.over(&canvas, START).clone();
+        let without = menu.over(&canvas, all, START).clone();
         menu.open(START, |line| line == 2);
         menu.step(START); // the first again
-        let with = menu.over(&canvas, START).clone();
+        let with = menu.over(&canvas, all, START).clone();
         let differ =
             |a: &Rgb, b: &Rgb| (0..480).filter(|&y| a.planes[2].row(y) != b.planes[2].row(y)).count();
         assert!((1..40).contains(&differ(&without, &with)), "a star");
         assert!((60..120).contains(&differ(&without, &canvas)), "three lines of 36 px");
         assert_eq!(without.planes[2].row(100), canvas.planes[2].row(100));
+    }
+
+    #[test]
+    fn it_lies_where_the_screen_shows_it_in_strokes_that_it_shows() {
+        let size = Size::new(640, 480);
+        let canvas = Rgb::new(size, [90; 3]);
+        let part = Size::new(240, 160);
+        let drawn = |seen| {
+            let mut menu = menu(30);
+            menu.open(START, |_| false);
+            let drawn = menu.over(&canvas, seen, START).clone();
+            let rows = (0..480).filter(|&y| drawn.planes[0].row(y) != canvas.planes[0].row(y));
+            let rows: Vec<usize> = rows.collect();
+            let row = drawn.planes[0].row(240);
+            let columns: Vec<usize> = (0..640).filter(|&x| row[x] != 90).collect();
+            let left = columns[0];
+            let chosen = (0..480).filter(|&y| drawn.planes[0].at(left, y) == INK).count();
+            (rows[0], rows[rows.len() - 1], left, columns[columns.len() - 1], chosen)
+        };
+        let (top, bottom, left, right, chosen) = drawn(Seen { size: part, shrink: 1 });
+        assert!(top >= 160 && bottom < 320 && left >= 200 && right < 440, "{top} {bottom} {left} {right}");
+        assert_eq!(chosen, LINE);
+        for shrink in [2, 4, 5] {
+            let (.., chosen) = drawn(Seen { size, shrink });
+            assert_eq!(chosen, LINE * shrink.max(3), "letter pixels of {shrink}");
+        }
     }
 
     #[test]

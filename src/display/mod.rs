@@ -25,7 +25,7 @@ mod y4m;
 pub use config::{Config, Filter, Kind, ModeSize, Scale};
 #[cfg(target_os = "linux")]
 pub use kms::Kms;
-pub use layout::{Layout, Rotate};
+pub use layout::{Layout, Rotate, Seen};
 pub use menu::Menu;
 pub use png_dir::PngDir;
 pub use slate::Slate;

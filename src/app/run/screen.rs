@@ -4,7 +4,7 @@
 use super::status::Words;
 use super::tally::Tally;
 use crate::app::fault::Fault;
-use crate::display::{Config, DisplayError, Kind, Shown, Sink};
+use crate::display::{Config, DisplayError, Kind, Seen, Shown, Sink};
 use crate::frame::now;
 use crate::pixels::{Rgb, Size};
 use std::sync::Arc;
@@ -120,6 +120,12 @@ impl Screen {
             }
             Err(error) => Err(error),
         }
+    }
+
+    /// What is seen of the pictures.
+    pub fn seen(&self) -> Seen {
+        let mode = self.sink.as_ref().and_then(Sink::mode);
+        mode.map_or(Seen::all(self.canvas), |mode| self.config.layout().seen(self.canvas, mode))
     }
 
     /// The pictures' size.

@@ -87,7 +87,8 @@ impl Show {
             let mut timings = Timings::default();
             let drawn = self.draw(frame, &mut timings)?;
             timings.add(Stage::Camera, waited);
-            if let Some(Drawn { shown, markers, fresh }) = drawn {
+            if let Some(drawn) = drawn {
+                let &Drawn { shown, markers, fresh, .. } = &drawn;
                 // the flip's own time where the display tells it, one picture late; else when it was handed over
                 if let (Some(before), Some(flipped)) = (before, shown.previous) {
                     self.tally.lasted(flipped.saturating_sub(before));
@@ -97,7 +98,7 @@ impl Show {
                 self.tally.picture(frame.sequence, markers, &timings);
                 self.service.shown();
                 before = fresh.then_some(frame.captured_at);
-                self.keep(&captured, fresh, shown)?;
+                self.keep(&captured, &drawn)?;
                 self.presses.shown(frame.sequence, &self.tally);
             } else {
                 self.service.alive();
@@ -182,7 +183,8 @@ impl Show {
             (drawn.canvas, drawn.sightings.len())
         };
         let taken = album.picture(frame.sequence, canvas);
-        let shown = timings.measure(Stage::Show, || screen.present(menu.over(canvas, now())));
+        let (seen, at) = (screen.seen(), now());
+        let shown = timings.measure(Stage::Show, || screen.present(menu.over(canvas, seen, at)));
         let shown = shown.context(Failed("cannot show the picture"))?;
         if let Some(taken) = taken {
             presses.kept(taken);
@@ -191,7 +193,7 @@ impl Show {
         if let Some(governor) = governor.as_mut().filter(|_| !still && !fades) {
             govern(governor, pipeline, tally, timings.frame(), frame.captured_at);
         }
-        Ok(shown.map(|shown| Drawn { shown, markers, fresh: !still }))
+        Ok(shown.map(|shown| Drawn { shown, at, markers, fresh: !still }))
     }
 
     /// No picture came in time: a slate.
@@ -216,22 +218,23 @@ impl Show {
     }
 
     /// Adds the picture to the trace.
-    fn keep(&mut self, captured: &Captured, fresh: bool, shown: Shown) -> anyhow::Result<()> {
+    fn keep(&mut self, captured: &Captured, drawn: &Drawn) -> anyhow::Result<()> {
         let Some(trace) = &mut self.trace else { return Ok(()) };
         let Some((format, bytes)) = &captured.raw else {
             anyhow::bail!("--trace: this source has no raw bytes to keep; trace a camera or a Y4M clip");
         };
         let frame = &captured.frame;
-        let layout = self.config.display.layout();
+        let (layout, seen) = (self.config.display.layout(), self.screen.seen());
         let Some(sink) = self.screen.sink() else { return Ok(()) };
         let mode = sink.mode().unwrap_or(frame.size());
         // what the screen shows; without one, what a screen of the picture's size would show
-        let canvas = if fresh { self.pipeline.canvas() } else { self.presses.picture() };
+        let canvas = if drawn.fresh { self.pipeline.canvas() } else { self.presses.picture() };
+        let canvas = self.menu.over(canvas, seen, drawn.at);
         let hash = sink.scan_out_hash().unwrap_or_else(|| display::compose(canvas, mode, layout).hash());
         let entry = trace::Entry {
             sequence: frame.sequence,
             captured_at: frame.captured_at,
-            shown_at: shown.at,
+            shown_at: drawn.shown.at,
             shown_hash: hash,
             mode: [mode.width as u32, mode.height as u32],
         };
@@ -256,6 +259,8 @@ fn govern(governor: &mut Governor, pipeline: &mut Pipeline, tally: &Tally, cost:
 /// What came of one picture.
 struct Drawn {
     shown: Shown,
+    /// When it was given to the screen.
+    at: Duration,
     markers: usize,
     /// Not one that stands still.
     fresh: bool,
