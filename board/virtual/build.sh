@@ -18,7 +18,7 @@ target=aarch64-unknown-linux-gnu
   RUSTFLAGS="-C target-feature=+crt-static -C target-cpu=cortex-a72" \
   CARGO_TARGET_AARCH64_UNKNOWN_LINUX_GNU_LINKER=aarch64-linux-gnu-gcc \
   CARGO_TARGET_DIR="$root/target-arm" \
-  cargo build --release --quiet --target "$target" --bin vernissage)
+  cargo build --release --quiet --no-default-features --target "$target" --bin vernissage)
 cp "$root/target-arm/$target/release/vernissage" "$dir/vernissage"
 for program in feed ctl hold; do
   aarch64-linux-gnu-gcc -std=gnu11 -O2 -Wall -Wextra -Werror -static -o "$dir/$program" "$here/$program.c"

@@ -376,8 +376,21 @@ fn devices(config: &Config, text: &str, home: &Path, add: &mut Add<'_>) {
         if card.starts_with('/') && !is_node(Path::new(card)) {
             add(line("card"), format!("display.card: {card} is no device; {}", there(&all)));
         } else if all.is_empty() {
-            let what = "no screen (/dev/dri/card*): load its driver, or set display.sink to \"y4m\", \"png\" or \"null\"";
+            let what = "no screen (/dev/dri/card*): load its driver, or set display.sink to \"window\" (on a desktop), \"y4m\", \"png\" or \"null\"";
             add(line("display"), what.into());
+        }
+    }
+    if config.display.sink == display::Kind::Window {
+        if !cfg!(feature = "window") {
+            add(
+                line("sink"),
+                "this program is built without windows: build it with its default features".into(),
+            );
+        } else if std::env::var_os("DISPLAY").is_none_or(|server| server.is_empty()) {
+            add(
+                line("sink"),
+                "no desktop (DISPLAY names no X server): start from one, or set another display.sink".into(),
+            );
         }
     }
     if let Some(port) = &config.serial.port

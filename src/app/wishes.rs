@@ -29,7 +29,7 @@ pub struct Wishes {
     /// The camera: auto, a node such as /dev/video0, synthetic, or a clip
     #[arg(long, value_name = "C")]
     pub camera: Option<String>,
-    /// The display: kms (the screen), NAME.y4m, a folder for pictures, or null
+    /// The display: kms (the screen), window (on a desktop), NAME.y4m, a folder for pictures, or null
     #[arg(long, value_name = "D")]
     pub display: Option<String>,
     /// Calibration of the camera's lens, as `vernissage calibrate` leaves it

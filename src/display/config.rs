@@ -9,14 +9,15 @@ use std::path::PathBuf;
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Config {
-    /// `"kms"` (a kernel display, the default), `"y4m"` (a clip), `"png"` (a folder of pictures) or `"null"`.
+    /// `"kms"` (a kernel display, the default), `"window"` (on a desktop), `"y4m"` (a clip), `"png"` (a folder of
+    /// pictures) or `"null"`.
     pub sink: Kind,
     /// The clip's file (`-` is stdout) or the pictures' folder.
     pub path: Option<PathBuf>,
     /// `"auto"` (the first card with a connected screen) or a node such as `"/dev/dri/card0"`.
     pub card: String,
     /// Wanted mode, `"WIDTHxHEIGHT"` in pixels. Without it: the canvas's size where the screen has it, else
-    /// the screen's preferred mode.
+    /// the screen's preferred mode. Of a window the size at first.
     pub mode: Option<ModeSize>,
     /// `"one-to-one"` (the default: centered, black around it, cropped where it is larger than the screen) or
     /// `"fit"` (as large as it goes, proportions kept, black around it).
@@ -64,6 +65,8 @@ impl Config {
 pub enum Kind {
     /// A kernel display.
     Kms,
+    /// A window on a desktop.
+    Window,
     /// One Y4M clip.
     Y4m,
     /// A folder of PNG files.

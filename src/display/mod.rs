@@ -1,4 +1,4 @@
-//! The display: where finished pictures go. A kernel display (KMS), a Y4M clip, a folder of PNGs, or nowhere.
+//! The display: where finished pictures go. A kernel display (KMS), a window, a Y4M clip, a folder of PNGs, or nowhere.
 //!
 //! Comes in: the canvas, planar RGB of any size. Goes out: pixels on a screen or in files, and the time at
 //! which they were shown. A KMS picture is composed in ordinary memory (scan-out memory is slow to read) and
@@ -19,6 +19,8 @@ mod layout;
 mod menu;
 mod png_dir;
 mod slate;
+#[cfg(feature = "window")]
+mod window;
 mod xrgb;
 mod y4m;
 
@@ -29,6 +31,8 @@ pub use layout::{Layout, Rotate, Seen};
 pub use menu::Menu;
 pub use png_dir::PngDir;
 pub use slate::Slate;
+#[cfg(feature = "window")]
+pub use window::Window;
 pub use xrgb::{Composer, Xrgb, compose};
 pub use y4m::Y4m;
 
@@ -43,14 +47,14 @@ use std::time::Duration;
 pub enum DisplayError {
     /// No card has a connected connector and dumb buffers, or none may be opened.
     #[error(
-        "no display: {looked}; plug in a screen and load its driver, or set display.sink to \"y4m\", \"png\" or \"null\""
+        "no display: {looked}; plug in a screen and load its driver, or set display.sink to \"window\" (on a desktop), \"y4m\", \"png\" or \"null\""
     )]
     NoDisplay {
         /// Every place that was looked at, and what was wrong there.
         looked: String,
     },
     /// The card is there, but another program drives it.
-    #[error("{}: another program owns the screen; stop it (a desktop, or a second vernissage) and start again", card.display())]
+    #[error("{}: another program owns the screen; stop it (a second vernissage) and start again, or set display.sink to \"window\" under a desktop", card.display())]
     Owned {
         /// The card's node.
         card: PathBuf,
@@ -79,6 +83,23 @@ pub enum DisplayError {
         /// The connector's name.
         screen: String,
     },
+    /// No window can be opened.
+    #[error(
+        "no window: {why}; start it from a desktop, or set display.sink to \"kms\", \"y4m\", \"png\" or \"null\""
+    )]
+    NoWindow {
+        /// What is missing.
+        why: String,
+    },
+    /// The window's server went away, or takes no pictures.
+    #[error("the window is lost: {why}; start again when the desktop is back")]
+    WindowLost {
+        /// What happened.
+        why: String,
+    },
+    /// Somebody closed the window: the run is over.
+    #[error("the window was closed")]
+    Closed,
     /// The sink writes files, and the settings do not say where.
     #[error("display.sink = \"{sink}\" needs display.path: name a {what}")]
     NoPath {
@@ -132,6 +153,9 @@ pub enum Sink {
     /// A kernel display.
     #[cfg(target_os = "linux")]
     Kms(Box<Kms>),
+    /// A window on a desktop.
+    #[cfg(feature = "window")]
+    Window(Box<Window>),
     /// One clip file or stdout.
     Y4m(Y4m),
     /// A folder of PNG files.
@@ -143,11 +167,19 @@ pub enum Sink {
 impl Sink {
     /// Opens the sink that `config` names for a canvas of this size.
     ///
-    /// A KMS sink changes the mode and shows black; a Y4M sink writes the header; a PNG sink makes the folder.
+    /// A KMS sink changes the mode and shows black; a window sink opens its window; a Y4M sink writes the header; a PNG
+    /// sink makes the folder.
     pub fn open(config: &Config, canvas: Size) -> Result<Self, DisplayError> {
         let path = |sink, what| config.path.as_deref().ok_or(DisplayError::NoPath { sink, what });
         Ok(match config.sink {
             Kind::Kms => Self::open_kms(config, canvas)?,
+            #[cfg(feature = "window")]
+            Kind::Window => Sink::Window(Box::new(Window::open(config, canvas)?)),
+            #[cfg(not(feature = "window"))]
+            Kind::Window => {
+                let why = "this program is built without windows (the feature `window`)".into();
+                return Err(DisplayError::NoWindow { why });
+            }
             Kind::Y4m => {
                 Sink::Y4m(Y4m::create(path("y4m", "file, or - for stdout")?, canvas, (config.fps, 1))?)
             }
@@ -172,6 +204,8 @@ impl Sink {
         match self {
             #[cfg(target_os = "linux")]
             Sink::Kms(kms) => kms.present(canvas),
+            #[cfg(feature = "window")]
+            Sink::Window(window) => window.present(canvas),
             Sink::Y4m(clip) => clip.write(canvas).map(|()| Shown { at: now(), previous: None }),
             Sink::PngDir(dir) => dir.write(canvas).map(|()| Shown { at: now(), previous: None }),
             Sink::Null => Ok(Shown { at: now(), previous: None }),
@@ -188,30 +222,36 @@ impl Sink {
         }
     }
 
-    /// Whether the screen is still there: a quick look at its connector, to be taken once a second or so. Files always
-    /// are.
+    /// Whether the screen is still there: a quick look at its connector or window, to be taken once a second or so. Files
+    /// always are.
     pub fn check(&self) -> Result<(), DisplayError> {
         match self {
             #[cfg(target_os = "linux")]
             Sink::Kms(kms) => kms.check(),
+            #[cfg(feature = "window")]
+            Sink::Window(window) => window.check(),
             _ => Ok(()),
         }
     }
 
-    /// Size of the screen's mode; `None` for files and for nowhere.
+    /// Size of the screen's mode or of the window; `None` for files and for nowhere.
     pub fn mode(&self) -> Option<Size> {
         match self {
             #[cfg(target_os = "linux")]
             Sink::Kms(kms) => Some(kms.mode()),
+            #[cfg(feature = "window")]
+            Sink::Window(window) => Some(window.mode()),
             _ => None,
         }
     }
 
-    /// Flips whose event never came within the time-out, since opening.
+    /// Since opening: flips whose event never came within the time-out, pictures that a window's server had no time for.
     pub fn lost_flips(&self) -> u64 {
         match self {
             #[cfg(target_os = "linux")]
             Sink::Kms(kms) => kms.lost_flips(),
+            #[cfg(feature = "window")]
+            Sink::Window(window) => window.dropped(),
             _ => 0,
         }
     }
@@ -223,6 +263,8 @@ impl std::fmt::Display for Sink {
         match self {
             #[cfg(target_os = "linux")]
             Sink::Kms(kms) => kms.fmt(f),
+            #[cfg(feature = "window")]
+            Sink::Window(window) => window.fmt(f),
             Sink::Y4m(clip) => write!(f, "{}", clip.path().display()),
             Sink::PngDir(dir) => write!(f, "{}/", dir.path().display()),
             Sink::Null => write!(f, "nowhere"),

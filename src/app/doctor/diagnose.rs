@@ -229,7 +229,7 @@ fn screen(facts: &Facts, found: &mut Vec<Finding>) {
         .collect();
     if all.is_empty() {
         let evidence = if wanted == "auto" { "no /dev/dri/card* with a connector" } else { wanted };
-        let todo = "load the display's driver (on a Raspberry Pi: dtoverlay=vc4-kms-v3d), or show nothing: --display null";
+        let todo = "load the display's driver (on a Raspberry Pi: dtoverlay=vc4-kms-v3d), or show the pictures elsewhere: --display window on a desktop";
         found.push(wrong("there is no screen to draw on", evidence, todo));
         return;
     }

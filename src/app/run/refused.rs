@@ -36,7 +36,7 @@ pub fn say(
 ) -> anyhow::Result<()> {
     let mut slate = Slate::new(screen.size());
     let end = now() + MOMENT;
-    while !stop.load(Ordering::Relaxed) && now() < end {
+    while !stop.load(Ordering::Relaxed) && !screen.closed() && now() < end {
         show(&mut slate, why, screen, service, tally)?;
         std::thread::park_timeout(SLATE_EVERY);
     }
@@ -65,7 +65,7 @@ pub fn wait(
     let mut screen = Screen::open(&config, Size::new(640, 480), true, tally.clone(), words.clone())?;
     let mut slate = Slate::new(screen.size());
     let mut due = now() + AGAIN;
-    while !stop.load(Ordering::Relaxed) {
+    while !stop.load(Ordering::Relaxed) && !screen.closed() {
         show(&mut slate, &why, &mut screen, service, &tally)?;
         std::thread::park_timeout(SLATE_EVERY);
         if now() < due {

@@ -22,6 +22,8 @@ pub struct Screen {
     config: Config,
     canvas: Size,
     sink: Option<Sink>,
+    /// Whether somebody closed the window.
+    closed: bool,
     /// When to look next: for it, or after it.
     due: Duration,
     /// Lost flips of the sinks before this one.
@@ -43,6 +45,7 @@ impl Screen {
             config: config.clone(),
             canvas,
             sink: None,
+            closed: false,
             due: Duration::ZERO,
             lost_flips: 0,
             tally,
@@ -88,7 +91,7 @@ impl Screen {
     pub fn present(&mut self, canvas: &Rgb) -> Result<Option<Shown>, DisplayError> {
         let time = now();
         if self.sink.is_none() {
-            if time < self.due {
+            if self.closed || time < self.due {
                 return Ok(None);
             }
             match Sink::open(&self.config, self.canvas) {
@@ -114,12 +117,23 @@ impl Screen {
         }
         match shown {
             Ok(shown) => Ok(Some(shown)),
+            Err(DisplayError::Closed) => {
+                (self.sink, self.closed) = (None, true);
+                Ok(None)
+            }
             Err(error) if self.may_return() => {
                 self.lose(&error);
                 Ok(None)
             }
             Err(error) => Err(error),
         }
+    }
+
+    /// Whether somebody closed the window: nothing is to be shown any more.
+    pub fn closed(&mut self) -> bool {
+        let closed = |sink: &Sink| matches!(sink.check(), Err(DisplayError::Closed));
+        self.closed |= self.config.sink == Kind::Window && self.sink.as_ref().is_some_and(closed);
+        self.closed
     }
 
     /// What is seen of the pictures.

@@ -58,7 +58,7 @@ pub struct Show {
 }
 
 impl Show {
-    /// Runs until told to stop, the camera's thread ends, or nothing can be shown any more.
+    /// Runs until told to stop, the window is closed, the camera's thread ends, or nothing can be shown any more.
     pub fn run(&mut self, mut reader: Reader<Captured>, stop: &AtomicBool) -> anyhow::Result<()> {
         // when what is on the screen was captured
         let mut before: Option<Duration> = None;
@@ -66,7 +66,8 @@ impl Show {
         let wished = Duration::from_secs_f64(1.0 / self.config.camera.fps);
         // how long after `from` a picture is late; a camera may take a while to its first
         let (mut from, mut patience) = (now(), FIRST);
-        while !stop.load(Ordering::Relaxed) && self.frames.is_none_or(|n| self.tally.shown.get() < n) {
+        let frames = self.frames.unwrap_or(u64::MAX);
+        while !stop.load(Ordering::Relaxed) && !self.screen.closed() && self.tally.shown.get() < frames {
             let waiting = Instant::now();
             let ended = reader.is_abandoned();
             let left = (from + patience).saturating_sub(now()).max(LEAST);

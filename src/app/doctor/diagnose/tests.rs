@@ -117,7 +117,7 @@ const CASES: &[Case] = &[
         "bus 1",
         "another bus",
     ),
-    (|f| f.cards.clear(), Weight::Wrong, "no screen to draw on", "/dev/dri", "--display null"),
+    (|f| f.cards.clear(), Weight::Wrong, "no screen to draw on", "/dev/dri", "--display window"),
     (
         |f| f.cards[0].card.connectors[0].connected = Some(false),
         Weight::Wrong,
