@@ -73,6 +73,11 @@ fn visor(folder: &Folder, server: &str, more: &[&str]) -> Running {
         "[camera]\nsource = \"synthetic\"\nwidth = 320\nheight = 240\nfps = 30\n\
          [camera.synthetic]\nnoise = 0\npace = 0\n[style]\nname = \"plain\"\n[display]\nscale = \"fit\"\n",
     );
+    started(folder, server, more)
+}
+
+/// The visor with the settings that are there.
+fn started(folder: &Folder, server: &str, more: &[&str]) -> Running {
     let mut command = Command::new(env!("CARGO_BIN_EXE_vernissage"));
     command.args(["run", "--config"]).arg(folder.0.join("visor.toml")).args(more);
     command.env("DISPLAY", server).stdout(Stdio::piped()).stderr(Stdio::piped());
@@ -153,16 +158,21 @@ fn opened(name: &str) -> Option<Opened> {
     Some(Opened { folder, xvfb, display, visor, client, window })
 }
 
-#[test]
-fn closing_the_window_ends_the_run_in_order() {
-    let Some(Opened { folder, xvfb: _xvfb, display, visor, client, window }) = opened("window-close") else {
-        return;
-    };
+/// Asks for the window's end, as a desktop does.
+fn close(client: &RustConnection, window: u32) {
     let atom =
         |name: &str| client.intern_atom(false, name.as_bytes()).expect("sent").reply().expect("it").atom;
     let closes = [atom("WM_DELETE_WINDOW"), 0, 0, 0, 0];
     let message = ClientMessageEvent::new(32, window, atom("WM_PROTOCOLS"), closes);
     client.send_event(false, window, EventMask::NO_EVENT, message).expect("sent").check().expect("taken");
+}
+
+#[test]
+fn closing_the_window_ends_the_run_in_order() {
+    let Some(Opened { folder, xvfb: _xvfb, display, visor, client, window }) = opened("window-close") else {
+        return;
+    };
+    close(&client, window);
     let (well, said) = visor.ended();
     assert!(well && said.contains("\"shown\":"), "{said}");
 
@@ -191,6 +201,19 @@ fn closing_the_window_ends_the_run_in_order() {
     client.send_event(false, window, EventMask::KEY_PRESS, press).expect("sent").check().expect("taken");
     let (well, said) = visor.ended();
     assert!(well && said.contains("shown"), "{said}");
+}
+
+#[test]
+fn what_is_wrong_with_the_settings_is_said_until_the_window_is_closed() {
+    let Some((_xvfb, display)) = server() else { return };
+    let folder = Folder::new("window-refused");
+    folder.write("visor.toml", "[style]\nnmae = \"plain\"\n");
+    let (client, screen) = RustConnection::connect(Some(&display)).expect("the server");
+    let visor = started(&folder, &display, &["--display", "window", "--wait"]);
+    let window = window(&client, screen);
+    close(&client, window);
+    let (well, said) = visor.ended();
+    assert!(well && said.contains("nmae"), "{said}");
 }
 
 #[test]

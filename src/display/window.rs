@@ -12,7 +12,7 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TryRecvError, sync
 use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 use x11rb::connection::{Connection as _, RequestConnection as _};
-use x11rb::errors::{ReplyError, ReplyOrIdError};
+use x11rb::errors::ReplyError;
 use x11rb::protocol::Event;
 use x11rb::protocol::xproto::{
     AtomEnum, ChangeWindowAttributesAux, ColormapAlloc, ConnectionExt as _, CreateGCAux, CreateWindowAux,
@@ -172,7 +172,7 @@ impl Picture {
 struct Desk {
     server: RustConnection,
     window: u32,
-    /// What the window shows: the server paints it again when the window was covered.
+    /// What the window shows; the server paints it again when the window was covered.
     ground: Pixmap,
     context: Gcontext,
     size: Size,
@@ -184,35 +184,16 @@ struct Desk {
     closing: Vec<u8>,
 }
 
-impl Desk {
-    fn open(size: Size) -> Result<Self, String> {
-        let (server, number) = RustConnection::connect(None).map_err(|error| error.to_string())?;
-        let setup = server.setup();
-        let screen = setup.roots.get(number).ok_or("it has no such screen")?;
-        let visual =
-            visual(setup, screen).ok_or("none of its visuals has 8 bits each of red, green and blue")?;
-        Self::place(&server, screen, visual, size)
-            .map(|(window, context, closes, closing)| Self {
-                window,
-                ground: x11rb::NONE,
-                context,
-                size,
-                filled: Size::default(),
-                most: server.maximum_request_bytes(),
-                closes,
-                closing,
-                server,
-            })
-            .map_err(|error| error.to_string())
-    }
+/// Why the server does not do what we ask.
+type Refusal = Box<dyn std::error::Error + Send + Sync>;
 
-    /// Makes the window: its number, what draws into it, the message that closes it and the keys that do.
-    fn place(
-        server: &RustConnection,
-        screen: &Screen,
-        visual: Visualid,
-        size: Size,
-    ) -> Result<(u32, Gcontext, u32, Vec<u8>), ReplyOrIdError> {
+impl Desk {
+    /// Makes the window.
+    fn open(size: Size) -> Result<Self, Refusal> {
+        let (server, number) = RustConnection::connect(None)?;
+        let screen = server.setup().roots.get(number).ok_or("it has no such screen")?;
+        let visual =
+            visual(server.setup(), screen).ok_or("no visual of it has 8 bits each of red, green and blue")?;
         let (window, colors, context) = (server.generate_id()?, server.generate_id()?, server.generate_id()?);
         server.create_colormap(ColormapAlloc::NONE, colors, screen.root, visual)?;
         let look = CreateWindowAux::new()
@@ -226,8 +207,7 @@ impl Desk {
             .create_window(DEPTH, window, screen.root, 0, 0, width, height, 0, kind, visual, &look)?
             .check()?;
         server.create_gc(context, window, &CreateGCAux::new().graphics_exposures(0))?.check()?;
-        let atom =
-            |name: &str| Ok::<_, ReplyError>(server.intern_atom(false, name.as_bytes())?.reply()?.atom);
+        let atom = |name: &str| Ok::<_, Refusal>(server.intern_atom(false, name.as_bytes())?.reply()?.atom);
         let (protocols, closes) = (atom("WM_PROTOCOLS")?, atom("WM_DELETE_WINDOW")?);
         server.change_property32(PropMode::REPLACE, window, protocols, AtomEnum::ATOM, &[closes])?;
         for (name, text) in
@@ -235,18 +215,14 @@ impl Desk {
         {
             server.change_property8(PropMode::REPLACE, window, name, AtomEnum::STRING, text)?;
         }
-        let (first, last) = (server.setup().min_keycode, server.setup().max_keycode);
-        let keys =
-            server.get_keyboard_mapping(first, last.saturating_sub(first).saturating_add(1))?.reply()?;
-        let each = usize::from(keys.keysyms_per_keycode.max(1));
-        let codes = (first..=last).zip(keys.keysyms.chunks(each));
-        let closing = codes.filter(|(_, key)| CLOSING.contains(&key[0])).map(|(code, _)| code).collect();
+        let closing = closing(&server)?;
         server.map_window(window)?.check()?;
-        Ok((window, context, closes, closing))
+        let (ground, most) = (x11rb::NONE, server.maximum_request_bytes());
+        Ok(Self { window, ground, context, size, filled: Size::default(), most, closes, closing, server })
     }
 
     /// Shows what comes until the window is closed or the sink is gone.
-    fn serve(mut self, come: &Receiver<Picture>, give: &SyncSender<Taken>) -> Result<(), ReplyOrIdError> {
+    fn serve(mut self, come: &Receiver<Picture>, give: &SyncSender<Taken>) -> Result<(), Refusal> {
         loop {
             match come.recv_timeout(PAUSE) {
                 Ok(picture) => {
@@ -274,7 +250,7 @@ impl Desk {
     }
 
     /// Puts a picture into the window; returns when the server has done it.
-    fn put(&mut self, picture: &Picture) -> Result<(), ReplyOrIdError> {
+    fn put(&mut self, picture: &Picture) -> Result<(), Refusal> {
         let (server, window) = (&self.server, self.window);
         let (width, height) = sides(picture.size);
         if picture.size != self.filled {
@@ -301,6 +277,14 @@ impl Desk {
         server.get_input_focus()?.reply()?;
         Ok(())
     }
+}
+
+/// The codes of the keys that close the window.
+fn closing(server: &RustConnection) -> Result<Vec<u8>, Refusal> {
+    let (first, last) = (server.setup().min_keycode, server.setup().max_keycode);
+    let keys = server.get_keyboard_mapping(first, last.saturating_sub(first).saturating_add(1))?.reply()?;
+    let codes = (first..=last).zip(keys.keysyms.chunks(keys.keysyms_per_keycode.max(1).into()));
+    Ok(codes.filter(|(_, key)| CLOSING.contains(&key[0])).map(|(code, _)| code).collect())
 }
 
 /// Pixels that are ours byte for byte: blue, green, red, nothing.
