@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """The virtual-board test: kernel camera in, kernel display out, on an emulated ARM board.
 
-usage: test.py [--host BINARY] [--dir DIR] [--frames N] [--skip-build] [--only loop|clock|recover|plugs|cuts]
+usage: test.py [--host BINARY] [--dir DIR] [--frames N] [--skip-build] [--only loop|clock|recover|stalls|plugs|cuts]
        [--soak]
 
 1. loop   A clip with a moving marker, made by the program itself, is fed into the kernel's vivid driver.
@@ -13,8 +13,9 @@ usage: test.py [--host BINARY] [--dir DIR] [--frames N] [--skip-build] [--only l
           none costs more than its bound, and every style's picture is the one this machine draws, byte for byte.
 3. recover  The camera is disconnected, unbound and made to fail, in random order: recover.py. With --soak as often as
           a release wants it, else a twentieth. Checked besides: the first picture comes soon after the kernel's start.
-4. plugs  The screen's cable, another program on the screen, the button board's USB plug: plugs.py.
-5. cuts   The power goes while settings are written: cuts.py.
+4. stalls  The program stands still for a tenth of a second, once a second: stalls.py.
+5. plugs  The screen's cable, another program on the screen, the button board's USB plug: plugs.py.
+6. cuts   The power goes while settings are written: cuts.py.
 
 Checked besides: the binary is at most 8 MB.
 
@@ -37,6 +38,7 @@ import cuts
 import markers
 import plugs
 import recover
+import stalls
 from board import CLIP, HERE, ROOT, WIDTH, Board, check, make_clip, note, read_png, read_ppm, run, verdict
 
 VISOR = """
@@ -217,7 +219,7 @@ def main():
     arguments.add_argument("--frames", type=int, default=60)
     arguments.add_argument("--skip-build", action="store_true", help="use the board as it is in DIR")
     arguments.add_argument("--soak", action="store_true", help="every trouble as often as a release wants it")
-    arguments.add_argument("--only", choices=["loop", "clock", "recover", "plugs", "cuts"])
+    arguments.add_argument("--only", choices=["loop", "clock", "recover", "stalls", "plugs", "cuts"])
     chosen = arguments.parse_args()
     folder = chosen.dir.resolve()
     (folder / "host").mkdir(parents=True, exist_ok=True)
@@ -239,6 +241,8 @@ def main():
         clock(host.resolve(), folder)
     if chosen.only in (None, "recover"):
         recover.recover(folder, chosen.soak)
+    if chosen.only in (None, "stalls"):
+        stalls.stalls(folder, chosen.soak)
     if chosen.only in (None, "plugs"):
         plugs.plugs(host.resolve(), folder, chosen.soak)
     if chosen.only in (None, "cuts"):
