@@ -237,6 +237,14 @@ fn a_server_that_stands_still_does_not_hold_the_run() {
 }
 
 #[test]
+fn a_server_that_takes_no_pictures_for_long_is_named() {
+    let Some(Opened { folder: _folder, xvfb, visor, .. }) = opened("window-stuck") else { return };
+    xvfb.signal(rustix::process::Signal::STOP);
+    let (well, said) = visor.ended();
+    assert!(!well && said.contains("the window is lost: the X server takes no pictures"), "{said}");
+}
+
+#[test]
 fn a_server_that_goes_away_is_named() {
     let Some(Opened { folder: _folder, xvfb, visor, .. }) = opened("window-gone") else { return };
     drop(xvfb);

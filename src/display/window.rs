@@ -22,7 +22,7 @@ use x11rb::protocol::xproto::{
 use x11rb::rust_connection::RustConnection;
 use x11rb::wrapper::ConnectionExt as _;
 
-/// A server takes a picture in a few milliseconds; one that has taken none for so long is stuck.
+/// A server takes a picture in a few milliseconds; one that has had no time for any for so long is stuck.
 const PATIENCE: Duration = Duration::from_secs(5);
 /// How often the window's keys and border are looked at while no picture comes.
 const PAUSE: Duration = Duration::from_millis(50);
@@ -45,10 +45,8 @@ pub struct Window {
     pictures: SyncSender<Picture>,
     /// Why the window is no more, as soon as it is: nothing where somebody closed it.
     end: Arc<OnceLock<Option<String>>>,
-    /// When a picture was handed over last.
-    handed: Duration,
-    /// Whether that was the picture of the last call.
-    in_turn: bool,
+    /// Since when pictures come that the server has no time for.
+    late: Option<Duration>,
     dropped: u64,
 }
 
@@ -101,8 +99,7 @@ impl Window {
             taken,
             pictures,
             end,
-            handed: now(),
-            in_turn: false,
+            late: None,
             dropped: 0,
         })
     }
@@ -114,24 +111,25 @@ impl Window {
         let Taken { mut picture, at, window } = match self.taken.try_recv() {
             Ok(taken) => taken,
             Err(TryRecvError::Disconnected) => return self.check().and(Err(DisplayError::Closed)),
-            Err(TryRecvError::Empty) if now() < self.handed + PATIENCE => {
-                self.in_turn = false;
-                self.dropped += 1;
-                return Ok(Shown { at: now(), previous: None });
-            }
             Err(TryRecvError::Empty) => {
-                return Err(DisplayError::WindowLost { why: "the X server takes no pictures".into() });
+                let at = now();
+                if at >= *self.late.get_or_insert(at) + PATIENCE {
+                    return Err(DisplayError::WindowLost { why: "the X server takes no pictures".into() });
+                }
+                self.dropped += 1;
+                return Ok(Shown { at, previous: None });
             }
         };
+        // the picture of the call before this one, unless that was not shown
+        let previous = at.filter(|_| self.late.is_none());
+        self.late = None;
         if window != self.size {
             (self.size, self.composer) = (window, Composer::new(window, self.layout));
         }
         picture.take(self.composer.compose(canvas));
-        self.handed = now();
-        let previous = at.filter(|_| std::mem::replace(&mut self.in_turn, true));
         // there is room: it was taken out. A thread that has ended meanwhile is found out about with the next picture
         let _ = self.pictures.try_send(picture);
-        Ok(Shown { at: self.handed, previous })
+        Ok(Shown { at: now(), previous })
     }
 
     /// See [`super::Sink::check`].
